@@ -5,7 +5,7 @@ use std::{env, process};
 use clap::error::{ContextKind, ContextValue};
 use leadtime_proto::text::printable;
 use leadtime_runs::Tasks;
-use leadtime_sims::{DomainEntry, Environment, TaskError};
+use leadtime_sims::DomainEntry;
 
 use crate::cli::Cli;
 use crate::exit::{ExitCode, Failure};
@@ -37,18 +37,6 @@ impl Program {
     /// breaks the promise of equal bits.
     pub fn with_domain(mut self, entry: DomainEntry) -> Self {
         self.tasks = self.tasks.with_domain(entry);
-        self
-    }
-
-    /// Adds a task that reads its settings itself; the program does not know their defaults, and `leadtime config NAME`
-    /// does not print them.
-    ///
-    /// `builder` gets the settings as JSON: `{"world": ..., "human": ..., "notifier": ...}` as configured.
-    pub fn with_task<F>(mut self, name: &str, builder: F) -> Self
-    where
-        F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
-    {
-        self.tasks = self.tasks.with(name, builder);
         self
     }
 

@@ -19,6 +19,7 @@
 //! The keys come from [`crate::keys`], with placeholders for names, so the list follows the layout.
 
 use std::collections::BTreeMap;
+use std::fmt;
 
 use leadtime_certs::{PeerName, Role};
 use leadtime_proto::{
@@ -48,6 +49,9 @@ const EVERYTHING: &[&str] = &[
     "declare_liveliness_subscriber",
     "liveliness_query",
 ];
+
+/// What finding out who is present takes.
+const LOOK: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
 
 /// Placeholders, which only become part of keys that are made here: every name of ours has other letters or another place.
 const RUN: &str = "0run";
@@ -221,14 +225,7 @@ impl Patterns {
 
     /// Writes a key with `actor` in the actor's place.
     fn of(key: Key<'_>, actor: &str) -> String {
-        let start = format!("{:016x}", Incarnation::default().0);
-        let chunk = |chunk: &str| match chunk {
-            RUN | DOMAIN | REGION => "*".to_owned(),
-            ACTOR => actor.to_owned(),
-            text if text == start => "*".to_owned(),
-            text => text.to_owned(),
-        };
-        key.to_string().split('/').map(chunk).collect::<Vec<_>>().join("/")
+        pattern(key, actor)
     }
 
     fn any(key: Key<'_>) -> String {
@@ -301,6 +298,18 @@ impl Patterns {
     }
 }
 
+/// Writes a key with `own` in the place of the name that the rule is for, and `*` in those of all others.
+fn pattern(key: impl fmt::Display, own: &str) -> String {
+    let start = format!("{:016x}", Incarnation::default().0);
+    let chunk = |chunk: &str| match chunk {
+        ACTOR | CLIENT => own.to_owned(),
+        RUN | DOMAIN | REGION | SERVICE => "*".to_owned(),
+        text if text == start => "*".to_owned(),
+        text => text.to_owned(),
+    };
+    key.to_string().split('/').map(chunk).collect::<Vec<_>>().join("/")
+}
+
 /// Returns everything below one of a run's branches, however a subscriber writes it.
 fn below(key: &str, branch: &str) -> String {
     let chunks: Vec<&str> = key.split('/').take_while(|chunk| *chunk != branch).collect();
@@ -332,14 +341,7 @@ impl LivePatterns {
     }
 
     fn of(&self, key: LiveKey<'_>) -> String {
-        let start = format!("{:016x}", Incarnation::default().0);
-        let chunk = |chunk: &str| match chunk {
-            SERVICE => "*".to_owned(),
-            CLIENT => self.name.clone(),
-            text if text == start => "*".to_owned(),
-            text => text.to_owned(),
-        };
-        key.to_string().split('/').map(chunk).collect::<Vec<_>>().join("/")
+        pattern(key, &self.name)
     }
 
     fn notifiers(&self) -> String {
@@ -387,10 +389,9 @@ impl LivePatterns {
 fn service() -> Vec<AccessRule> {
     let keys = LivePatterns::new("*");
     let presence = || [keys.notifiers(), keys.presence()];
-    let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
     vec![
         rule("in", &["liveliness_token"], [keys.notifiers()]),
-        rule("in", look, presence()),
+        rule("in", LOOK, presence()),
         rule("in", &["declare_queryable", "reply"], [keys.open(), keys.session()]),
         rule("in", &["put"], keys.told().into_iter().chain([keys.taken()])),
         rule("in", &["declare_subscriber"], keys.sent()),
@@ -404,12 +405,11 @@ fn service() -> Vec<AccessRule> {
 /// Returns what a robot may do under its own name.
 fn rules_of_one_robot(name: &str) -> Vec<AccessRule> {
     let keys = LivePatterns::new(name);
-    let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
     // A notifier declares one place for the questions of all clients.
     let places = LivePatterns::new("*").open();
     vec![
         rule("in", &["liveliness_token"], [keys.presence()]),
-        rule("in", look, [keys.notifiers()]),
+        rule("in", LOOK, [keys.notifiers()]),
         rule("in", &["query"], [keys.open()]),
         rule("in", &["put"], keys.sent()),
         rule("in", &["declare_subscriber"], keys.told()),
@@ -425,13 +425,12 @@ fn rules_of_one_robot(name: &str) -> Vec<AccessRule> {
 fn rules_of(role: Role) -> Vec<AccessRule> {
     let keys = Patterns::new();
     let [history, about] = Patterns::about();
-    let look: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
     let serve: &[&str] = &["declare_queryable", "reply"];
     match role {
         Role::Router => vec![rule("both", EVERYTHING, everywhere())],
         Role::Learner => vec![
             rule("in", &["liveliness_token"], [keys.learners()]),
-            rule("in", look, [keys.members()]),
+            rule("in", LOOK, [keys.members()]),
             rule("in", serve, [keys.hello(), keys.pulls(), history.clone(), about.clone()]),
             rule("in", &["query"], [keys.orders("*")]),
             rule("in", &["put"], [keys.credit("*"), keys.news(), keys.learner_metrics()]),
@@ -447,7 +446,7 @@ fn rules_of(role: Role) -> Vec<AccessRule> {
             ),
         ],
         Role::Actor => vec![
-            rule("in", look, [keys.learners()]),
+            rule("in", LOOK, [keys.learners()]),
             rule("in", &["query"], [keys.hello(), keys.pulls(), keys.relayed_pulls()]),
             rule("in", &["declare_subscriber"], [keys.news()]),
             rule("out", &["put"], [keys.news()]),
@@ -480,7 +479,7 @@ fn observer(keys: &Patterns, is_recorder: bool) -> Vec<AccessRule> {
     };
     let seen = || [keys.members()].into_iter().chain(live.iter().map(LivePatterns::notifiers));
     vec![
-        rule("in", &["liveliness_query", "declare_liveliness_subscriber"], seen()),
+        rule("in", LOOK, seen()),
         rule("in", &["query"], asked()),
         rule("in", &["declare_subscriber"], told()),
         rule("out", &["put"], told()),

@@ -224,7 +224,7 @@ impl ActorLink {
             return Ok(weights);
         }
         let key = Key::Weights(run, domain);
-        ask::pull(&self.session(), key, self.incarnation, version, sha256, ask::PULL_TIMEOUT).await
+        ask::pull(&self.session(), key, version, sha256, ask::PULL_TIMEOUT).await
     }
 
     /// Pulls from a relay; `None` if the learner has to be asked.
@@ -241,7 +241,7 @@ impl ActorLink {
         }
         let key = Key::RelayedWeights(&entered.run, region, &entered.domain);
         let session = self.session();
-        let pull = ask::pull(&session, key, self.incarnation, version, sha256, RELAY_TIMEOUT);
+        let pull = ask::pull(&session, key, version, sha256, RELAY_TIMEOUT);
         let error = match pull.await {
             Ok(weights) => {
                 if lock(rests_until).take().is_some() {

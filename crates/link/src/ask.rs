@@ -39,6 +39,20 @@ pub(crate) struct Inquiry {
     pub(crate) timeout: Duration,
 }
 
+impl Inquiry {
+    /// Makes one without a payload.
+    fn without_payload(
+        key: &str,
+        parameters: String,
+        schema: Schema,
+        qos: Qos,
+        timeout: Duration,
+    ) -> Self {
+        let header = Header::plain(schema, Incarnation(0), &[]);
+        Self { key: key.to_owned(), parameters, header, payload: Vec::new(), qos, timeout }
+    }
+}
+
 /// What became of it.
 #[derive(Debug)]
 pub(crate) enum InquiryEnd<T> {
@@ -73,30 +87,19 @@ pub(crate) async fn ask_for<T: DeserializeOwned>(
 pub(crate) async fn pull(
     session: &Session,
     at: Key<'_>,
-    incarnation: Incarnation,
     version: PolicyVersion,
     sha256: [u8; 32],
     timeout: Duration,
 ) -> Result<Vec<u8>> {
     let key = at.to_string();
-    let question = Inquiry {
-        key: key.clone(),
-        parameters: format!("{VERSION}={version};{SHA256}={}", hex::encode(&sha256)),
-        header: Header::plain(Schema::Weights, incarnation, &[]),
-        payload: Vec::new(),
-        qos: wire::BULK,
-        timeout,
-    };
+    let parameters = format!("{VERSION}={version};{SHA256}={}", hex::encode(&sha256));
+    let question = Inquiry::without_payload(&key, parameters, Schema::Weights, wire::BULK, timeout);
     let read = |sample: &Sample| {
-        let bad = |source| Error::BadAnswer { key: key.clone(), source };
-        let header =
-            wire::inspect(sample.attachment(), Some(sample.payload()), WEIGHTS).map_err(bad)?;
-        let bytes = sample.payload().to_bytes();
-        receive::verify(&header, &bytes).map_err(bad)?;
+        let (header, bytes) = read_whole(sample, &key, WEIGHTS)?;
         if header.version != version || <[u8; 32]>::from(Sha256::digest(&bytes)) != sha256 {
             return Err(Error::ForeignWeights(version));
         }
-        Ok(bytes.into_owned())
+        Ok(bytes)
     };
     match ask(session, question, read).await? {
         InquiryEnd::Good(bytes) => Ok(bytes),
@@ -114,21 +117,10 @@ pub(crate) async fn ask_bytes(
     timeout: Duration,
 ) -> Result<(Incarnation, Vec<u8>)> {
     let key = key.to_string();
-    let question = Inquiry {
-        key: key.clone(),
-        parameters,
-        header: Header::plain(expected.schema, Incarnation(0), &[]),
-        payload: Vec::new(),
-        qos: wire::ARCHIVE,
-        timeout,
-    };
+    let question =
+        Inquiry::without_payload(&key, parameters, expected.schema, wire::ARCHIVE, timeout);
     let read = |sample: &Sample| {
-        let bad = |source| Error::BadAnswer { key: key.clone(), source };
-        let header =
-            wire::inspect(sample.attachment(), Some(sample.payload()), expected).map_err(bad)?;
-        let bytes = sample.payload().to_bytes();
-        receive::verify(&header, &bytes).map_err(bad)?;
-        Ok((header.incarnation, bytes.into_owned()))
+        read_whole(sample, &key, expected).map(|(header, bytes)| (header.incarnation, bytes))
     };
     match ask(session, question, read).await? {
         InquiryEnd::Good(answer) => Ok(answer),
@@ -137,33 +129,36 @@ pub(crate) async fn ask_bytes(
     }
 }
 
+/// Checks an answer's header and its bytes, which are not decoded.
+fn read_whole(sample: &Sample, key: &str, expected: Expected) -> Result<(Header, Vec<u8>)> {
+    let bad = |source| Error::BadAnswer { key: key.to_owned(), source };
+    let header =
+        wire::inspect(sample.attachment(), Some(sample.payload()), expected).map_err(bad)?;
+    let bytes = sample.payload().to_bytes();
+    receive::verify(&header, &bytes).map_err(bad)?;
+    Ok((header, bytes.into_owned()))
+}
+
 /// Measures the round-trip time to a run's learner: the shortest of a few short questions.
 ///
 /// It asks for weights without saying which, which every learner answers with a sentence.
 pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Duration> {
     let key = Keys::PullsOf(run).to_string();
-    let mut shortest: Option<Duration> = None;
+    let mut shortest = Duration::MAX;
     for _ in 0..N_PROBES {
-        let question = Inquiry {
-            key: key.clone(),
-            parameters: String::new(),
-            header: Header::plain(Schema::Weights, Incarnation(0), &[]),
-            payload: Vec::new(),
-            qos: wire::CONTROL,
-            timeout: PROBE_TIMEOUT,
-        };
+        let (schema, qos) = (Schema::Weights, wire::CONTROL);
+        let question = Inquiry::without_payload(&key, String::new(), schema, qos, PROBE_TIMEOUT);
         let asked = Instant::now();
         match ask(session, question, |_| Ok(())).await? {
             InquiryEnd::Good(()) | InquiryEnd::Rejected(_) => {
-                let took = asked.elapsed();
-                shortest = Some(shortest.map_or(took, |shortest| shortest.min(took)));
+                shortest = shortest.min(asked.elapsed());
             }
             InquiryEnd::Nobody | InquiryEnd::TimedOut => {
                 return Err(Error::NoAnswer { key, timeout: PROBE_TIMEOUT });
             }
         }
     }
-    Ok(shortest.unwrap_or_default())
+    Ok(shortest)
 }
 
 /// Asks everyone at the key, and reads answers until one can be used; else what is wrong with the last one counts.

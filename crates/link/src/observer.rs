@@ -139,7 +139,7 @@ impl ObserverLink {
         sha256: [u8; 32],
     ) -> Result<Vec<u8>> {
         let (key, timeout) = (Key::Weights(run, domain), ask::PULL_TIMEOUT);
-        ask::pull(&self.session, key, Incarnation(0), version, sha256, timeout).await
+        ask::pull(&self.session, key, version, sha256, timeout).await
     }
 
     /// Asks a run's learner what the run is. Returns the learner's start and its answer, JSON.

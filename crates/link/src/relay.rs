@@ -191,7 +191,7 @@ impl Desk {
 async fn pull(session: Session, asked: Asked) -> Pulled {
     let Asked { run, domain, version, sha256 } = asked;
     let key = Key::Weights(&run, &domain);
-    let pulled = ask::pull(&session, key, Incarnation(0), version, sha256, ask::PULL_TIMEOUT).await;
+    let pulled = ask::pull(&session, key, version, sha256, ask::PULL_TIMEOUT).await;
     (sha256, pulled)
 }
 

@@ -6,7 +6,7 @@ use std::{fs, io};
 use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
 use leadtime_proto::phrase::no_such;
 use leadtime_proto::{EnvId, TaskSpec};
-use leadtime_sims::{DomainEntry, Environment, EpisodeSeed, Fact, Registry, TaskError};
+use leadtime_sims::{DomainEntry, EpisodeSeed, Fact, Registry};
 use leadtime_worker::Workers;
 use thiserror::Error;
 
@@ -52,14 +52,6 @@ impl Tasks {
         let workers = Workers::default();
         let registry = leadtime_worlds::builtin().with_domain(leadtime_worker::entry(&workers));
         Self { registry, catalog: Catalog::built_in(), workers }
-    }
-
-    /// Adds a task that reads its settings itself.
-    pub fn with<F>(self, name: &str, builder: F) -> Self
-    where
-        F: Fn(&str) -> Result<Box<dyn Environment>, TaskError> + Send + Sync + 'static,
-    {
-        self.with_domain(DomainEntry::from_builder(name, builder))
     }
 
     /// Adds a task with its own default settings over the general ones.

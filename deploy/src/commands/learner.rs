@@ -112,7 +112,7 @@ fn tell_finished(run_dir: &RunDir) {
     let (name, path) = (&run_dir.name, run_dir.path.display());
     let setting = match run_dir.record.result.as_ref().map(|result| result.end) {
         Some(ResultCause::StopAt) => "evaluation.stop_at, or leave it out,",
-        _ => "learner.total_steps",
+        _ => "learner.total_steps (`--steps`)",
     };
     output::say(&format!(
         "run `{name}` is finished: see {path}; raise {setting} to train on, or take another --name"

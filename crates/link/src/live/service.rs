@@ -16,10 +16,9 @@ use super::port::LivePort;
 use super::robot::RobotKeys;
 use crate::answer::{Answers, PendingReply};
 use crate::pubsub::{appear, take_questions, watch_tokens};
+use crate::queue::{Class, EventQueue};
 use crate::{Error, ListenSettings, Result, session};
 
-/// The most questions and presence events of clients that wait; the client of a question beyond that is asked to try again.
-const MAX_EVENTS: usize = 1_024;
 /// Threads that answer questions.
 const N_ANSWERERS: usize = 1;
 
@@ -99,7 +98,7 @@ impl LiveServiceLink {
     ) -> Result<(Self, flume::Receiver<LiveEvent>)> {
         let session = session::listen_live(settings).await?;
         let locators = session.info().locators().await;
-        let (events, receiver) = flume::bounded(MAX_EVENTS);
+        let (events, receiver) = EventQueue::new(0);
         let answers = Answers::start(N_ANSWERERS)?;
         let (asked, told) = (events.clone(), events.clone());
         let (key, owed) = (LiveKey::Opens(service), answers.clone());
@@ -114,7 +113,8 @@ impl LiveServiceLink {
                 SampleKind::Put => LiveEvent::Here(client, alive.incarnation),
                 SampleKind::Delete => LiveEvent::Gone(client, alive.incarnation),
             };
-            drop(events.try_send(event));
+            // Questions leave room for it.
+            drop(events.offer(event, Class::Presence));
         })?;
         let token = appear(&session, LiveKey::Service(service, incarnation))?;
         let locators = locators.iter().map(ToString::to_string).collect();
@@ -189,7 +189,7 @@ impl LiveServiceLink {
     }
 }
 
-fn on_question(query: Query, answers: &Answers, events: &flume::Sender<LiveEvent>) {
+fn on_question(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
     let client = parse_open(query.key_expr());
     let question = query.payload().map(|payload| payload.to_bytes().into_owned());
     let responder = OpenResponder { query: Some(query), answers: answers.clone() };
@@ -202,18 +202,16 @@ fn on_question(query: Query, answers: &Answers, events: &flume::Sender<LiveEvent
         return responder.refuse(format!("this question has {n} bytes; {MAX_LIVE_BYTES} at most"));
     }
     let event = LiveEvent::Open { client, question, responder };
-    if let Err(full) = events.try_send(event)
-        && let LiveEvent::Open { responder, .. } = full.into_inner()
-    {
+    if let Some(LiveEvent::Open { responder, .. }) = events.offer(event, Class::Request) {
         responder.refuse("too many questions at once: ask again".to_owned());
     }
 }
 
-fn on_recorder(query: Query, answers: &Answers, events: &flume::Sender<LiveEvent>) {
+fn on_recorder(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
     let client = parse_session(query.key_expr());
     let responder = OpenResponder { query: Some(query), answers: answers.clone() };
     // One that has no place is let go, which ends the question: a recorder asks again.
     if let Some(client) = client {
-        drop(events.try_send(LiveEvent::Describe(client, responder)));
+        drop(events.offer(LiveEvent::Describe(client, responder), Class::Request));
     }
 }
