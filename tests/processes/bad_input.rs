@@ -330,6 +330,43 @@ fn a_policy_or_trace_file_that_is_none_is_refused() {
 }
 
 #[test]
+fn what_a_run_keeps_is_no_place_for_anything_else() {
+    let place = Place::new();
+    for folder in ["checkpoints", "tensorboard"] {
+        fs::create_dir_all(place.run("r").join(folder)).unwrap();
+    }
+    let record = place.write("runs/r/run.json", "{}");
+    for args in [
+        "eval r --episodes-to runs/r/run.json",
+        "report r --out runs/r/run.json",
+        "up -c cartpole --log-file runs/r/run.json",
+        "up -c cartpole --name r --trace runs/r/checkpoints/4.checkpoint",
+        "learner -c cartpole --trace runs/r/tensorboard/trace.json",
+        "drive lander --connect tcp/127.0.0.1:1 --messages-to runs/r/metrics.jsonl",
+        "play r --output runs/r/best.safetensors",
+        "script-search lander --out runs/r/config.toml",
+        "taxonomy export lander --output runs/r/policy.safetensors",
+    ] {
+        let target = args.rsplit(" --").next().unwrap();
+        refused(&place, &[args], &[target, "the run `r` keeps its own", "choose another path"]);
+    }
+    assert_eq!(fs::read_to_string(record).unwrap(), "{}");
+    // Another name is free.
+    let steps = "eval nothing --episodes-to runs/r/steps.jsonl";
+    refused(&place, &[steps], &["`nothing`"]);
+}
+
+#[test]
+fn a_full_disk_costs_no_results() {
+    let place = Place::new();
+    place.finish(&["up --name r --actors 1 --stop-after 1", SMALL]).with_code(0);
+    let evaluated = place.finish(&["eval r --episodes 2 --episodes-to /dev/full"]);
+    let evaluated = evaluated.with_code(WRONG_INPUT);
+    assert!(!evaluated.stdout.is_empty(), "the results are printed first");
+    evaluated.saying(&["writing /dev/full"]);
+}
+
+#[test]
 fn a_path_is_no_order_to_the_terminal() {
     let place = Place::new();
     let directory = |name: &str| place.path().join(format!("{name}\u{1b}[2J"));

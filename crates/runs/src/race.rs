@@ -38,9 +38,9 @@ const FEWER_AT_A_QUARTER: u32 = 5;
 /// The fewest episodes of a comparison: one has no standard error.
 const FEWEST_EPISODES: u32 = 2;
 /// The copy of a racer's policy at a quarter.
-const QUARTER_POLICY: &str = "quarter.safetensors";
+pub(crate) const QUARTER_POLICY: &str = "quarter.safetensors";
 /// The file of what a race found out, in a racer's directory.
-const FILE: &str = "race.json";
+pub(crate) const FILE: &str = "race.json";
 /// Digits of the digest in the name of a race.
 const NAME_DIGITS: usize = 8;
 /// The longest name of a run.
