@@ -104,6 +104,33 @@ fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
 }
 
 #[test]
+fn a_change_of_a_run_that_goes_on_is_told_by_its_own_option() {
+    let place = Place::new();
+    let told = |args: &str, texts: &[&str]| {
+        for command in ["up --name r", "learner --name r"] {
+            refused(&place, &[command, SMALL, args], texts);
+        }
+    };
+    let unknown = ["--change learner.clp", "unknown field `clp`", "did you mean `clip`?"];
+    told("--change learner.clp=0.1", &unknown);
+    told("--change learner.clip=nan", &["--change learner.clip", "a finite number"]);
+    told("--change learner.n_envs=16", &["`learner.n_envs` cannot change while a run goes on"]);
+    let twice = ["`learner.clip` is given by --change twice", "leave one of them out"];
+    told("--change learner.clip=0.1 --change learner.clip=0.2", &twice);
+    let both = ["`learner.clip` is given by --change and by --set", "leave one of them out"];
+    told("--change learner.clip=0.1 --set learner.clip=0.4", &both);
+    let name = Command::new(env!("CARGO_BIN_EXE_leadtime"))
+        .args(["up", "-c", "cartpole", "--name", ""])
+        .current_dir(place.path())
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&name.stderr);
+    assert_eq!(name.status.code(), Some(WRONG_INPUT), "{told}");
+    assert!(told.contains("--name: `` is not a valid run name"), "{told}");
+    assert!(!place.path().join("runs").exists(), "nothing was begun");
+}
+
+#[test]
 fn sizes_that_no_message_and_no_file_may_have_are_refused_before_the_run() {
     let place = Place::new();
     let check = |set: &str, texts: &[&str]| refused(&place, &["check -c lander --set", set], texts);
