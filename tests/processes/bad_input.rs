@@ -67,6 +67,10 @@ fn what_was_meant_is_guessed() {
         &["up -c cartpole --learning-rate 1e-4"],
         &["--set learner.learning_rate=1e-4"],
     );
+    for command in ["up", "check", "learner"] {
+        refused(&place, &[command, "lander"], &["tip: did you mean '-c lander'?"]);
+    }
+    refused(&place, &["smoke highway"], &["tip: did you mean '--domain highway'?"]);
     let unit = ["write a number with its unit: 60s or 2m"];
     refused(&place, &["check --connect 127.0.0.1:1 --connect-timeout 6"], &unit);
     refused(&place, &["check -c cartpole --steps 1.5"], &["a whole number of steps"]);

@@ -63,6 +63,15 @@ fn help_fits_a_terminal_and_its_examples_are_read() {
 }
 
 #[test]
+fn help_for_a_missing_command_is_whole() {
+    let place = Place::new();
+    let told = place.finish(&[]).with_code(2).stderr;
+    assert!(told.contains("\nExit codes:\n") && !told.contains('\u{2026}'), "{told}");
+    let asked = place.finish(&["-h"]).with_code(0).stdout;
+    assert_eq!(told.trim(), asked.trim());
+}
+
+#[test]
 fn lists_fit_a_terminal_however_long_a_name_is() {
     let place = Place::new();
     let name = "table1-piloting-convey-react-on-a-hard-map-0123456789ab-s201";
