@@ -35,7 +35,7 @@ pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
 };
-pub(crate) use operations::{HealthArgs, PruneArgs, TraceArgs, VersionArgs};
+pub(crate) use operations::{HealthArgs, PruneArgs, STATUS_ADDRESS, TraceArgs, VersionArgs};
 pub(crate) use robot::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
