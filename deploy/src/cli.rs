@@ -10,7 +10,6 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{
     ArgGroup, Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum,
 };
-use leadtime_config::identity::CHANGEABLE;
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
 use leadtime_link::Endpoint;
@@ -21,6 +20,7 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
 
+mod changes;
 mod live;
 mod logs;
 mod network;
@@ -35,7 +35,7 @@ pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
 };
-pub(crate) use operations::{HealthArgs, PruneArgs, TraceArgs, VersionArgs};
+pub(crate) use operations::{HealthArgs, PruneArgs, STATUS_ADDRESS, TraceArgs, VersionArgs};
 pub(crate) use robot::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
@@ -245,7 +245,7 @@ pub(crate) struct RunChoice {
     pub stop_after: Option<StopAfter>,
     /// Go on with another value of a setting of the learner: `--change learner.learning_rate=1e-4`; repeatable. Optimiser,
     /// normalisers and steps are kept, and the change is recorded.
-    #[arg(long, value_name = "KEY=VALUE", value_parser = changeable, requires = "name", conflicts_with = "fork")]
+    #[arg(long, value_name = "KEY=VALUE", value_parser = changes::parse, requires = "name", conflicts_with = "fork")]
     pub change: Vec<Override>,
     /// Start this command, and write the metrics of every update to its standard input, a line of JSON each.
     #[arg(long, value_name = "COMMAND")]
@@ -258,6 +258,19 @@ impl RunChoice {
     /// Returns the keys that change in a run that goes on.
     pub(crate) fn changed_keys(&self) -> Vec<String> {
         self.change.iter().map(Override::key).collect()
+    }
+
+    /// Loads the configuration with what changes in a run that goes on.
+    ///
+    /// # Errors
+    ///
+    /// A sentence about a key that is changed twice or cannot change, or what [`SourceArgs::load`] says.
+    pub(crate) fn load(&self, tasks: &Tasks, source: &SourceArgs) -> anyhow::Result<Config> {
+        changes::check_given_once(&self.change, &source.set)?;
+        // First: it knows which key was meant by an unknown one.
+        let config = source.changed(&self.change).load(tasks, self.name.as_deref())?;
+        changes::check_changeable(&self.change)?;
+        Ok(config)
     }
 }
 
@@ -877,20 +890,6 @@ fn stop_after(text: &str) -> Result<StopAfter, String> {
         Ok(updates) => Ok(StopAfter::Updates(updates)),
         Err(says) => duration(text).map(StopAfter::Time).map_err(|_unspecific| says),
     }
-}
-
-/// Reads a change of a setting that may change while a run goes on.
-fn changeable(text: &str) -> Result<Override, String> {
-    let change = Override::parse(text)?;
-    if CHANGEABLE.contains(&change.key().as_str()) {
-        return Ok(change);
-    }
-    let allowed = CHANGEABLE.map(|key| key.trim_start_matches("learner.")).join(", ");
-    Err(format!(
-        "`{}` cannot change while a run goes on; of the section `learner` can: {allowed}; `--fork` starts a new run from \
-         the weights",
-        change.key()
-    ))
 }
 
 /// Reads a number of steps: `200000` or `1e6`.

@@ -34,6 +34,7 @@ mod service;
 mod shutdown;
 mod sink;
 mod status;
+mod targets;
 mod terminal;
 mod threads;
 mod trace_file;

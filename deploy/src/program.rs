@@ -2,7 +2,7 @@
 
 use std::{env, process};
 
-use clap::error::{ContextKind, ContextValue};
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use leadtime_proto::text::printable;
 use leadtime_runs::Tasks;
 use leadtime_sims::DomainEntry;
@@ -69,15 +69,30 @@ impl Program {
     }
 }
 
-/// Finds the setting that an unknown option was meant for: `learner.learning_rate=1e-4` for `--learning-rate 1e-4`.
-fn meant_setting(
-    answer: &clap::Error,
-    tasks: &Tasks,
-    args: impl Iterator<Item = String>,
-) -> Option<String> {
-    let args: Vec<String> = args.collect();
+/// Finds the command that is asked for.
+fn command_of<'a>(root: &'a clap::Command, args: &[String]) -> &'a clap::Command {
+    args.iter().fold(root, |at, arg| at.find_subcommand(arg).unwrap_or(at))
+}
+
+/// Finds the option that a configuration's name was meant for, which was given without one: `-c lander` for `lander`.
+fn meant_option(answer: &clap::Error, tasks: &Tasks, args: &[String]) -> Option<String> {
+    if answer.kind() != ErrorKind::UnknownArgument {
+        return None;
+    }
+    let ContextValue::String(name) = answer.get(ContextKind::InvalidArg)? else { return None };
+    tasks.catalog.names().find(|known| known == name)?;
     let root = Cli::documented();
-    let command = args.iter().fold(&root, |at, arg| at.find_subcommand(arg).unwrap_or(at));
+    let command = command_of(&root, args);
+    let has = |long| command.get_arguments().any(|option| option.get_long() == Some(long));
+    let options = [("domain", "--domain"), ("config", "-c")];
+    let (_, option) = options.into_iter().find(|(long, _)| has(*long))?;
+    Some(format!("{option} {name}"))
+}
+
+/// Finds the setting that an unknown option was meant for: `learner.learning_rate=1e-4` for `--learning-rate 1e-4`.
+fn meant_setting(answer: &clap::Error, tasks: &Tasks, args: Vec<String>) -> Option<String> {
+    let root = Cli::documented();
+    let command = command_of(&root, &args);
     command.get_arguments().find(|option| option.get_long() == Some("set"))?;
     let ContextValue::String(option) = answer.get(ContextKind::InvalidArg)? else { return None };
     let name = option.trim_start_matches('-').split('=').next()?.replace('-', "_");
@@ -96,12 +111,16 @@ fn refuse(answer: &clap::Error, tasks: &Tasks) -> Result<(), Failure> {
         return Ok(());
     }
     let text = answer.to_string();
-    // It quotes what was typed.
-    if printable(&text) != text.trim_end() || answer.print().is_err() {
+    // Help is our own text, and longer than any message. Everything else quotes what was typed.
+    let is_help = answer.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
+    let is_fit = is_help || printable(&text) == text.trim_end();
+    if !is_fit || answer.print().is_err() {
         output::say(&printable(&text));
     }
-    let args = env::args_os().map(|arg| arg.to_string_lossy().into_owned());
-    if let Some(setting) = meant_setting(answer, tasks, args) {
+    let args: Vec<String> = env::args_os().map(|arg| arg.to_string_lossy().into_owned()).collect();
+    if let Some(option) = meant_option(answer, tasks, &args) {
+        output::say(&format!("\n  tip: did you mean '{}'?", printable(&option)));
+    } else if let Some(setting) = meant_setting(answer, tasks, args) {
         output::say(&format!("\n  tip: settings are changed by '--set {}'", printable(&setting)));
     }
     Err(Failure::silent(ExitCode::WrongInput))

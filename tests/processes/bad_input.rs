@@ -67,6 +67,10 @@ fn what_was_meant_is_guessed() {
         &["up -c cartpole --learning-rate 1e-4"],
         &["--set learner.learning_rate=1e-4"],
     );
+    for command in ["up", "check", "learner"] {
+        refused(&place, &[command, "lander"], &["tip: did you mean '-c lander'?"]);
+    }
+    refused(&place, &["smoke highway"], &["tip: did you mean '--domain highway'?"]);
     let unit = ["write a number with its unit: 60s or 2m"];
     refused(&place, &["check --connect 127.0.0.1:1 --connect-timeout 6"], &unit);
     refused(&place, &["check -c cartpole --steps 1.5"], &["a whole number of steps"]);
@@ -101,6 +105,33 @@ fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     refused(&place, &["check -c nowhere.toml"], &["nowhere.toml", "cartpole"]);
     refused(&place, &["lurner"], &["learner"]);
     refused(&place, &["actor"], &["--connect"]);
+}
+
+#[test]
+fn a_change_of_a_run_that_goes_on_is_told_by_its_own_option() {
+    let place = Place::new();
+    let told = |args: &str, texts: &[&str]| {
+        for command in ["up --name r", "learner --name r"] {
+            refused(&place, &[command, SMALL, args], texts);
+        }
+    };
+    let unknown = ["--change learner.clp", "unknown field `clp`", "did you mean `clip`?"];
+    told("--change learner.clp=0.1", &unknown);
+    told("--change learner.clip=nan", &["--change learner.clip", "a finite number"]);
+    told("--change learner.n_envs=16", &["`learner.n_envs` cannot change while a run goes on"]);
+    let twice = ["`learner.clip` is given by --change twice", "leave one of them out"];
+    told("--change learner.clip=0.1 --change learner.clip=0.2", &twice);
+    let both = ["`learner.clip` is given by --change and by --set", "leave one of them out"];
+    told("--change learner.clip=0.1 --set learner.clip=0.4", &both);
+    let name = Command::new(env!("CARGO_BIN_EXE_leadtime"))
+        .args(["up", "-c", "cartpole", "--name", ""])
+        .current_dir(place.path())
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&name.stderr);
+    assert_eq!(name.status.code(), Some(WRONG_INPUT), "{told}");
+    assert!(told.contains("--name: `` is not a valid run name"), "{told}");
+    assert!(!place.path().join("runs").exists(), "nothing was begun");
 }
 
 #[test]
@@ -327,6 +358,43 @@ fn a_policy_or_trace_file_that_is_none_is_refused() {
     ] {
         refused(&place, &[command, file], told);
     }
+}
+
+#[test]
+fn what_a_run_keeps_is_no_place_for_anything_else() {
+    let place = Place::new();
+    for folder in ["checkpoints", "tensorboard"] {
+        fs::create_dir_all(place.run("r").join(folder)).unwrap();
+    }
+    let record = place.write("runs/r/run.json", "{}");
+    for args in [
+        "eval r --episodes-to runs/r/run.json",
+        "report r --out runs/r/run.json",
+        "up -c cartpole --log-file runs/r/run.json",
+        "up -c cartpole --name r --trace runs/r/checkpoints/4.checkpoint",
+        "learner -c cartpole --trace runs/r/tensorboard/trace.json",
+        "drive lander --connect tcp/127.0.0.1:1 --messages-to runs/r/metrics.jsonl",
+        "play r --output runs/r/best.safetensors",
+        "script-search lander --out runs/r/config.toml",
+        "taxonomy export lander --output runs/r/policy.safetensors",
+    ] {
+        let target = args.rsplit(" --").next().unwrap();
+        refused(&place, &[args], &[target, "the run `r` keeps its own", "choose another path"]);
+    }
+    assert_eq!(fs::read_to_string(record).unwrap(), "{}");
+    // Another name is free.
+    let steps = "eval nothing --episodes-to runs/r/steps.jsonl";
+    refused(&place, &[steps], &["`nothing`"]);
+}
+
+#[test]
+fn a_full_disk_costs_no_results() {
+    let place = Place::new();
+    place.finish(&["up --name r --actors 1 --stop-after 1", SMALL]).with_code(0);
+    let evaluated = place.finish(&["eval r --episodes 2 --episodes-to /dev/full"]);
+    let evaluated = evaluated.with_code(WRONG_INPUT);
+    assert!(!evaluated.stdout.is_empty(), "the results are printed first");
+    evaluated.saying(&["writing /dev/full"]);
 }
 
 #[test]

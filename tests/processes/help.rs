@@ -63,7 +63,16 @@ fn help_fits_a_terminal_and_its_examples_are_read() {
 }
 
 #[test]
-fn lists_fit_a_terminal_however_long_a_name_is() {
+fn help_for_a_missing_command_is_whole() {
+    let place = Place::new();
+    let told = place.finish(&[]).with_code(2).stderr;
+    assert!(told.contains("\nExit codes:\n") && !told.contains('\u{2026}'), "{told}");
+    let asked = place.finish(&["-h"]).with_code(0).stdout;
+    assert_eq!(told.trim(), asked.trim());
+}
+
+#[test]
+fn lists_fit_a_terminal_and_name_runs_whole_in_a_pipe() {
     let place = Place::new();
     let name = "table1-piloting-convey-react-on-a-hard-map-0123456789ab-s201";
     let record = format!(
@@ -75,8 +84,7 @@ fn lists_fit_a_terminal_however_long_a_name_is() {
     let line = r#"{"update": 5000, "steps": 10240000, "episodes/success": 0.5, "episodes/return": -1234.5}"#;
     fs::write(place.run(name).join("metrics.jsonl"), line).unwrap();
     let listed = place.finish(&["runs"]).with_code(0).stdout;
-    fits(&listed);
-    assert!(listed.contains("table1-") && listed.contains(" 10240000 "), "{listed}");
+    assert!(listed.contains(name) && listed.contains(" 10240000 "), "{listed}");
     assert!(place.finish(&["runs --all"]).with_code(0).stdout.contains(name));
     for args in
         ["compare", "compare table1 --plan", "config", "check -c steakhouse", "check -c lander"]

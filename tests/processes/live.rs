@@ -432,7 +432,7 @@ fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
     let file = place.write("p.safetensors", "no policy");
     refused(&["serve", &file, &listen], &["is not a policy of Leadtime: it is text"]);
     refused(&["serve nothing", &listen], &["`nothing` is no policy file"]);
-    refused(&["serve", &policy()], &["--listen"]);
+    refused(&["serve", &policy()], &["--listen tcp/", "--connect tcp/"]);
     refused(&["serve", &policy(), &listen, "--max-sessions 65"], &["65", "1..=64"]);
     refused(&["serve", &policy(), &listen, "--service A/b"], &["not a valid service name"]);
     refused(&["serve", &policy(), &listen, "--words highway"], &["no sentences for the topics"]);

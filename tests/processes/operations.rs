@@ -120,7 +120,10 @@ fn a_status_page_tells_what_a_run_does_and_whether_it_is_well() {
     signal("USR1", learner.id());
     learner.finish(PATIENCE).with_code(0).saying(&["asked to drain", "To go on from update"]);
     assert_eq!(record(&place.run("r"))["result"], Value::Null);
-    place.finish(&["health", &at]).with_code(3).saying(&["nobody answers at"]);
+    let told = format!("nobody answers at {at}: Connection refused");
+    let advice = format!("; start a learner or an actor with --status {at}\n");
+    place.finish(&["health", &at]).with_code(3).saying(&[&told, &advice]);
+    place.finish(&["health localhost"]).with_code(2).saying(&["such as 127.0.0.1:9464"]);
 }
 
 /// Has Python's strict parser read a page, where it is installed.

@@ -86,6 +86,10 @@ fn what_a_race_costs_is_said_beforehand_and_a_wrong_one_is_refused() {
     let told = place.finish(&["race -c lander --plan"]).with_code(0).stdout;
     assert!(told.contains("4 racers train"), "{told}");
     assert!(told.lines().all(|line| line.chars().count() <= 80), "{told}");
+    let plan = place.finish(&[RACE, "--plan --json"]).with_code(0).json();
+    let [racers, keep, steps] = ["racers", "keep", "steps"].map(|key| plan[key].as_u64());
+    assert_eq!((racers, keep, steps), (Some(3), Some(1), Some(7_680)), "{plan}");
+    assert_eq!(plan["trainings"], 1.5, "{plan}");
     assert!(!place.path().join("runs").exists());
     let refused = place.finish(&["race -c lander --racers 3 --keep 4"]).with_code(2);
     refused.saying(&["--keep 4", "only 3 racers"]);

@@ -50,6 +50,19 @@ fn an_interrupted_supervisor_takes_everything_down_within_five_seconds() {
 }
 
 #[test]
+fn a_drained_supervisor_ends_well_and_its_run_can_go_on() {
+    let place = Place::new();
+    let (supervisor, processes) = start(&place);
+    signal("USR1", supervisor.id());
+    let ended = supervisor.finish(6 * SECOND).with_code(0);
+    let told = ended.saying(&["asked to drain", "To go on from update"]).stderr;
+    assert_eq!(told.matches("To go on from update").count(), 1, "{told}");
+    assert!(are_gone(&processes));
+    assert!(!checkpoints(&place.run("r")).is_empty());
+    assert!(result(&place.run("r")).is_null(), "it is not finished");
+}
+
+#[test]
 fn a_process_that_hangs_is_killed_before_the_supervisor_ends() {
     let place = Place::new();
     let (supervisor, processes) = start(&place);

@@ -133,6 +133,10 @@ impl Config {
             layers.push(Layer::option(option, &Override::new(key, number as i64)));
         }
         if let Some(name) = &source.name {
+            // In a file an empty name stands for none.
+            if name.is_empty() {
+                RunName::new("").map_err(|error| ConfigError::of(error).at("--name"))?;
+            }
             layers.push(Layer::option("--name", &Override::new("run.name", name.as_str())));
         }
         if let Some(directory) = &source.runs {

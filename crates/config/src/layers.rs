@@ -55,9 +55,9 @@ impl Layer {
         Self::text(place, table.to_string())
     }
 
-    /// Makes a layer of `--set section.key=value`.
+    /// Makes a layer of `--set section.key=value`, or of the option that gave the change.
     pub fn set(change: &Override) -> Self {
-        Self::option(format!("--set {}", quoted(&change.key())), change)
+        Self::option(format!("{} {}", change.option, quoted(&change.key())), change)
     }
 
     /// Makes a layer of another option of the command line, which stands for a change of one key.
@@ -145,7 +145,7 @@ impl<'a> Layers<'a> {
             (Value::Float(x), DeValue::Integer(_)) if is_whole(*x) => Value::Integer(*x as i64),
             _ => return None,
         };
-        Some(Override { path: change.path.clone(), value })
+        Some(Override { value, ..change.clone() })
     }
 
     /// Lays one part of the result over another; refuses a list in place of a section.

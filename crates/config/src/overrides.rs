@@ -11,9 +11,14 @@ use crate::nesting;
 /// The most parts of a key.
 const MAX_PARTS: usize = 16;
 
+/// The option that changes a key, unless another one is named.
+const SET: &str = "--set";
+
 /// One `--set section.key=value`.
 #[derive(Clone, Debug)]
 pub struct Override {
+    /// The option that gave it, to be named in messages.
+    pub(crate) option: &'static str,
     pub(crate) path: Vec<String>,
     pub(crate) value: Value,
 }
@@ -21,7 +26,8 @@ pub struct Override {
 impl Override {
     /// Makes a change of one key.
     pub fn new(key: &str, value: impl Into<Value>) -> Self {
-        Self { path: key.split('.').map(str::to_owned).collect(), value: value.into() }
+        let path = key.split('.').map(str::to_owned).collect();
+        Self { option: SET, path, value: value.into() }
     }
 
     /// Reads `section.key=value`; the value is TOML, or text if it is not TOML.
@@ -53,7 +59,13 @@ impl Override {
                 return Err(format!("`{key}` is {value}; allowed: whole numbers up to {most}"));
             }
         };
-        Ok(Self { path, value })
+        Ok(Self { option: SET, path, value })
+    }
+
+    /// Names another option that gave it.
+    #[must_use]
+    pub fn given_by(self, option: &'static str) -> Self {
+        Self { option, ..self }
     }
 
     /// Returns the key as written: `learner.clip`.
@@ -85,10 +97,10 @@ impl Alternatives {
     ///
     /// As [`Override::parse`], and if the value is not a list, or an empty one.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let Override { path, value } = Override::parse(text)?;
+        let Override { path, value, .. } = Override::parse(text)?;
         match value {
             Value::Array(values) if !values.is_empty() => {
-                let change = |value| Override { path: path.clone(), value };
+                let change = |value| Override { option: "--each", path: path.clone(), value };
                 Ok(Self(values.into_iter().map(change).collect()))
             }
             _ => Err(format!("`{}` is not of the form section.key=[value, ...]", quoted(text))),
@@ -132,6 +144,7 @@ mod tests {
         let each = Alternatives::parse("human.delay=[{fixed=0}, {fixed=2}]").unwrap();
         let texts: Vec<String> = each.0.iter().map(ToString::to_string).collect();
         assert_eq!(texts, ["human.delay = { fixed = 0 }", "human.delay = { fixed = 2 }"]);
+        assert!(each.0.iter().all(|change| change.option == "--each"));
         for text in ["human.delay=3", "human.delay=[]", "human.delay"] {
             assert!(Alternatives::parse(text).is_err(), "{text}");
         }

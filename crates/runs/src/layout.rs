@@ -17,7 +17,7 @@ use crate::record::{INITIAL_POLICY, RECORD};
 use crate::{ResultCause, RunRecord, RunResult, journal};
 
 /// The configuration's file in a run directory.
-const CONFIG: &str = "config.toml";
+pub(crate) const CONFIG: &str = "config.toml";
 /// The file that its learner locks.
 pub(crate) const LOCK: &str = "lock";
 /// The file that its supervisor locks.

@@ -10,7 +10,7 @@
 //! race         several seeds of a configuration, the hopeless stopped on the way
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
 //! find         a run by its name                            listing         all runs in a directory
-//! prune        which old runs may go
+//! prune        which old runs may go                    own_files       what nobody else may write over
 //! ```
 //!
 //! It reads no command line, prints nothing and decides no exit code: it returns what happened, and the program words
@@ -40,6 +40,7 @@ mod learner_config;
 mod listing;
 mod metrics;
 mod naming;
+mod own_files;
 pub mod policy_file;
 pub mod prune;
 pub mod race;
@@ -65,6 +66,7 @@ pub use leadtime_learner::write_atomically;
 pub use learner_config::learner_config;
 pub use listing::ListedRun;
 pub use naming::Naming;
+pub use own_files::{REPORT_PAGE, run_that_keeps};
 pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
 pub use record::{ForkOrigin, ResultCause, RunRecord, RunResult, SettingChange};
 pub use recorder::RunRecorder;

@@ -10,7 +10,7 @@
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
+use std::{fmt, fs, io};
 
 use leadtime_config::{Config, ConfigError, Layer, identity};
 use leadtime_eval::Error;
@@ -38,9 +38,9 @@ const FEWER_AT_A_QUARTER: u32 = 5;
 /// The fewest episodes of a comparison: one has no standard error.
 const FEWEST_EPISODES: u32 = 2;
 /// The copy of a racer's policy at a quarter.
-const QUARTER_POLICY: &str = "quarter.safetensors";
+pub(crate) const QUARTER_POLICY: &str = "quarter.safetensors";
 /// The file of what a race found out, in a racer's directory.
-const FILE: &str = "race.json";
+pub(crate) const FILE: &str = "race.json";
 /// Digits of the digest in the name of a race.
 const NAME_DIGITS: usize = 8;
 /// The longest name of a run.
@@ -140,6 +140,34 @@ pub enum RaceStage {
 /// A racer's place among all, and its score.
 type Ranked<'a> = (usize, &'a RaceScore);
 
+/// What a race costs at most.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RaceCost {
+    /// How many begin.
+    pub racers: u64,
+    /// Steps of each of them to the quarter.
+    pub steps_each: u64,
+    /// How many go on at most.
+    pub keep: u64,
+    /// Steps of each of these to the end.
+    pub steps_more: u64,
+    /// Steps of all together.
+    pub steps: u64,
+    /// The same in whole trainings.
+    pub trainings: f64,
+}
+
+impl fmt::Display for RaceCost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { racers, steps_each, keep, steps_more, steps, trainings } = self;
+        write!(
+            f,
+            "{racers} racers train {steps_each} steps each, then at most {keep} of them {steps_more} more:\nat most {steps} \
+             steps, as many as {trainings:.2} whole trainings"
+        )
+    }
+}
+
 /// Several seeds of one configuration, and how far each has come.
 #[derive(Clone, Debug)]
 pub struct Race {
@@ -227,19 +255,15 @@ impl Race {
         self.racers.first().map_or(0, |racer| racer.config.learner.n_updates())
     }
 
-    /// Says what the race costs at most.
-    pub fn cost(&self) -> String {
-        let Some(Racer { config, .. }) = self.racers.first() else { return String::new() };
+    /// Reckons what the race costs at most.
+    pub fn cost(&self) -> RaceCost {
+        let batch = self.racers.first().map_or(0, |racer| racer.config.steps_per_update());
+        let (steps_each, whole) = (self.quarter() * batch, self.n_updates() * batch);
         let (n_racers, n_keep) = (self.racers.len() as u64, self.n_keep as u64);
-        let batch = config.steps_per_update();
-        let (first, all) = (self.quarter() * batch, self.n_updates() * batch);
-        let rest = all - first;
-        let sum = n_racers * first + n_keep * rest;
-        format!(
-            "{n_racers} racers train {first} steps each, then at most {n_keep} of them {rest} more:\nat most {sum} steps, as \
-             many as {:.2} whole trainings",
-            sum as f64 / all.max(1) as f64
-        )
+        let steps_more = whole.saturating_sub(steps_each);
+        let steps = n_racers * steps_each + n_keep * steps_more;
+        let trainings = steps as f64 / whole.max(1) as f64;
+        RaceCost { racers: n_racers, steps_each, keep: n_keep, steps_more, steps, trainings }
     }
 
     /// Returns how many episodes a comparison has.
@@ -487,11 +511,8 @@ mod tests {
         assert!(name.starts_with("race-cartpole-") && name.ends_with("-s8"), "{name}");
         let again = Race::plan(&tasks, &config, None, 2, 100).unwrap();
         assert_eq!(again.racers[1].config.run.name.as_ref().unwrap().as_str(), name);
-        assert!(
-            race.cost().contains("at most 25600 steps, as many as 2.50 whole"),
-            "{}",
-            race.cost()
-        );
+        let cost = race.cost().to_string();
+        assert!(cost.contains("at most 25600 steps, as many as 2.50 whole"), "{cost}");
         let long = "a".repeat(80);
         let named = Race::plan(&tasks, &config, Some(&long), 2, 100).unwrap();
         assert_eq!(named.racers[0].config.run.name.as_ref().unwrap().as_str().len(), MAX_NAME);

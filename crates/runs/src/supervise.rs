@@ -71,8 +71,8 @@ pub enum Ended {
     Learner(Option<i32>),
     /// Every actor was given up, and the learner was stopped.
     NoActorLeft,
-    /// We were asked to stop.
-    Stopped,
+    /// We were asked to stop, and asked the learner, which ended with this exit code; `None` if it was killed.
+    Stopped(Option<i32>),
 }
 
 /// Runs a plan to its end; an error says that the learner cannot be started at all.
@@ -95,7 +95,10 @@ pub(crate) async fn supervise(
         actors.iter_mut().for_each(ChildHandle::request_stop);
     }
     wait_for_all(&mut learner, &mut actors).await;
-    Ok(ended)
+    Ok(match (ended, learner.health) {
+        (Ended::Stopped(_), ChildHealth::Gone(code)) => Ended::Stopped(code),
+        (ended, _) => ended,
+    })
 }
 
 async fn watch(
@@ -108,7 +111,7 @@ async fn watch(
     let mut warned = false;
     loop {
         tokio::select! {
-            () = shutdown.cancelled() => return Ended::Stopped,
+            () = shutdown.cancelled() => return Ended::Stopped(None),
             _ = ticks.tick() => {}
         }
         let n_deaths = learner.n_deaths;
@@ -292,9 +295,17 @@ impl ChildHandle {
         lived >= HEALTHY_TIME || (lived >= HEALTHY_LIFE && n_updates() >= HEALTHY_UPDATES)
     }
 
+    /// Tells whether it still runs after it was asked to stop; notices its end.
     fn is_running(&mut self) -> bool {
-        self.process.take_if(|process| !matches!(process.process.try_wait(), Ok(None)));
-        self.process.is_some()
+        let status = self.process.as_mut().map(|child| child.process.try_wait());
+        match status {
+            None => return false,
+            Some(Ok(None)) => return true,
+            Some(Ok(Some(status))) => self.health = ChildHealth::Gone(status.code()),
+            Some(Err(_)) => self.health = ChildHealth::Gone(None),
+        }
+        self.process = None;
+        false
     }
 
     fn request_stop(&mut self) {

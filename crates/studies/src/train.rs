@@ -89,7 +89,7 @@ async fn carry_out(
     let what = Launch { stderr_log: Some(log.clone()), ..Launch::new(Naming::Resume, n_actors) };
     let code = match launch(&training.config, &what, &stop).await?.ended {
         Ended::Learner(Some(0)) => return Ok(()),
-        Ended::Stopped => return Err(Error::Interrupted),
+        Ended::Stopped(_) => return Err(Error::Interrupted),
         Ended::Learner(code) => code,
         Ended::NoActorLeft => None,
     };

@@ -21,7 +21,7 @@ pub(crate) struct ServeArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: PathBuf,
     /// Where to listen: `tcp/127.0.0.1:7448`; port 0 takes a free one; repeatable.
-    #[arg(long, value_name = "ENDPOINT", required_unless_present_any = ["connect", "describe"])]
+    #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
     /// Routers to connect to, instead of listening or beside it.
     #[arg(long, value_name = "ENDPOINT")]

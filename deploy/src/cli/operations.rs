@@ -5,11 +5,14 @@ use std::time::Duration;
 
 use clap::Args;
 
+/// Where a status is looked for if nothing else is said.
+pub(crate) const STATUS_ADDRESS: &str = "127.0.0.1:9464";
+
 /// `leadtime health`
 #[derive(Debug, Args)]
 pub(crate) struct HealthArgs {
     /// The status address of a learner or an actor (`--status`).
-    #[arg(value_name = "ADDRESS", default_value = "127.0.0.1:9464")]
+    #[arg(value_name = "ADDRESS", default_value = STATUS_ADDRESS)]
     pub address: String,
     /// Ask only whether it is alive, not whether it is ready.
     #[arg(long)]

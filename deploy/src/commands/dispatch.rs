@@ -12,10 +12,11 @@ use super::{
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{logging, output};
+use crate::{logging, output, targets};
 
 /// Carries out one command.
 pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
+    targets::check(&cli)?;
     let Cli { command, verbosity, logs } = cli;
     let is_one_of_many = matches!(&command, Command::Actor(args) if args.supervised);
     let level = match verbosity {

@@ -32,11 +32,10 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
             return truth::run(tasks, args, &task);
         }
         let kept_in = args.save.then(|| task.run()).transpose()?;
-        if let Some(path) = &args.episodes_to {
-            task.record_steps(tasks, args, path)?;
-        }
+        // Made first: a path that cannot be written is told before an hour's work.
+        let steps = args.episodes_to.as_deref().map(StepsFile::create).transpose()?;
         let record = task.evaluate(tasks, args)?;
-        // Printed first: a directory that cannot be written must not cost the results.
+        // Printed first: a file that cannot be written must not cost the results.
         if args.shown.json {
             output::json(&record);
         } else {
@@ -44,6 +43,9 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         }
         if let Some(run) = kept_in {
             evaluation::save(&record, run, &task.policy.config).blame(ExitCode::WrongInput)?;
+        }
+        if let Some(steps) = steps {
+            task.record_steps(tasks, args, steps)?;
         }
         if !args.shown.json {
             let is_spoken = !tasks.topics(&task.policy.config.evaluation.task).is_empty();
@@ -71,6 +73,26 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         output::next(&task.policy.path, &[DRAW]);
     }
     Ok(())
+}
+
+/// The file of every step.
+struct StepsFile<'a> {
+    path: &'a Path,
+    file: File,
+}
+
+impl<'a> StepsFile<'a> {
+    fn create(path: &'a Path) -> Result<Self, Failure> {
+        let file = File::create(path).with_context(|| format!("writing {}", path.display()));
+        Ok(Self { path, file: file.blame(ExitCode::WrongInput)? })
+    }
+
+    fn write(&mut self, lines: &str) -> Result<(), Failure> {
+        let written = self.file.write_all(lines.as_bytes());
+        written
+            .with_context(|| format!("writing {}", self.path.display()))
+            .blame(ExitCode::WrongInput)
+    }
 }
 
 /// A policy, the task that it is evaluated in, and every player.
@@ -102,15 +124,17 @@ impl EvalTask {
     }
 
     /// Writes every step of the policy's episodes.
-    fn record_steps(&self, tasks: &Tasks, args: &EvalArgs, path: &Path) -> Result<(), Failure> {
+    fn record_steps(
+        &self,
+        tasks: &Tasks,
+        args: &EvalArgs,
+        mut steps: StepsFile<'_>,
+    ) -> Result<(), Failure> {
         let make = || tasks.registry.build(&self.policy.config.evaluation.task);
         let n_episodes = u64::from(self.n_episodes(args));
         let settings = PlaySettings::new(n_episodes, args.acting.choosing.eval_seed);
         let settings = settings.threads(n_threads());
-        let cannot = || format!("writing {}", path.display());
-        let mut file = File::create(path).with_context(cannot).blame(ExitCode::WrongInput)?;
-        let write = |lines: &str| file.write_all(lines.as_bytes()).with_context(cannot);
-        Ok(record_steps(&make, &self.players[0], &settings, write)?)
+        record_steps(&make, &self.players[0], &settings, |lines: &str| steps.write(lines))
     }
 
     fn n_episodes(&self, args: &EvalArgs) -> u32 {

@@ -4,10 +4,10 @@ use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-use anyhow::Context as _;
-use leadtime_proto::text::printable;
+use anyhow::anyhow;
+use leadtime_proto::text::{printable, quoted};
 
-use crate::cli::HealthArgs;
+use crate::cli::{HealthArgs, STATUS_ADDRESS};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 
@@ -17,10 +17,15 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const MAX_ANSWER: u64 = 64 << 10;
 
 pub(super) fn run(args: &HealthArgs) -> Result<(), Failure> {
-    let address = leadtime_web::parse_address(&args.address).blame(ExitCode::WrongInput)?;
+    let address = leadtime_web::parse_address(&args.address).map_err(|_unspecific| {
+        let given = quoted(&args.address);
+        Failure::input(format!(
+            "`{given}` is not an address: write IP:PORT, such as {STATUS_ADDRESS}"
+        ))
+    })?;
     let path = if args.live { "/live" } else { "/ready" };
-    let answer = ask(address, path).with_context(|| {
-        format!("nobody answers at {address}: start a learner or an actor with --status {address}")
+    let answer = ask(address, path).map_err(|error| {
+        anyhow!("nobody answers at {address}: {error}; start a learner or an actor with --status {address}")
     });
     let answer = answer.blame(ExitCode::PeerLost)?;
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));

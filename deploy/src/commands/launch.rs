@@ -1,6 +1,7 @@
 //! Learner and actors on this machine until the learner ends, and what their end means for the exit code.
 
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use leadtime_config::Config;
 use leadtime_runs::RunRecord;
@@ -28,12 +29,27 @@ pub(super) async fn launch(
     what: &Launch<'_>,
     shutdown: &CancellationToken,
 ) -> Result<PathBuf, Failure> {
+    launch_or_drain(config, what, shutdown, &AtomicBool::new(false)).await
+}
+
+/// As [`launch`]; a run that ends in order because it was drained is a success, and how it goes on is left to say.
+pub(super) async fn launch_or_drain(
+    config: &Config,
+    what: &Launch<'_>,
+    shutdown: &CancellationToken,
+    drained: &AtomicBool,
+) -> Result<PathBuf, Failure> {
     let launched = carry_out(config, what, shutdown).await?;
+    let in_order = [ExitCode::Done, ExitCode::Interrupted];
+    let in_order = in_order.map(|code| Ended::Stopped(Some(code as i32)));
+    if drained.load(Ordering::Relaxed) && in_order.contains(&launched.ended) {
+        return Ok(launched.run);
+    }
     // After anything else that is the learner's own error, the same command would end in the same way.
     let [lost, interrupted] =
         [ExitCode::PeerLost, ExitCode::Interrupted].map(|code| Ended::Learner(Some(code as i32)));
-    let may_pass = [Ended::Stopped, Ended::NoActorLeft, Ended::Learner(None), lost, interrupted];
-    if may_pass.contains(&launched.ended) {
+    let may_pass = [Ended::NoActorLeft, Ended::Learner(None), lost, interrupted];
+    if matches!(launched.ended, Ended::Stopped(_)) || may_pass.contains(&launched.ended) {
         goes_on(&launched.run, what);
     }
     outcome(launched)
@@ -59,7 +75,7 @@ pub(super) fn outcome(launched: Launched) -> Result<PathBuf, Failure> {
         Ended::Learner(Some(0)) => Ok(launched.run),
         Ended::Learner(Some(code)) => Err(Failure::silent(ExitCode::from_status(code))),
         Ended::Learner(None) | Ended::NoActorLeft => Err(Failure::silent(ExitCode::Failed)),
-        Ended::Stopped => Err(Failure::silent(ExitCode::Interrupted)),
+        Ended::Stopped(_) => Err(Failure::silent(ExitCode::Interrupted)),
     }
 }
 

@@ -38,9 +38,7 @@ const DEFAULT_ADDRESS: &str = "127.0.0.1:7447";
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
-    let name = args.run.name.as_deref();
-    let source = args.source.changed(&args.run.change);
-    let config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let config = args.run.load(tasks, &args.source).blame(ExitCode::WrongInput)?;
     let listen = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)
         .blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;

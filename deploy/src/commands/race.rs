@@ -34,11 +34,15 @@ pub(super) async fn run(
         race.n_keep = n_keep as usize;
     }
     if args.plan {
-        output::line(&race.cost());
+        if args.json {
+            output::json(&race.cost());
+        } else {
+            output::line(&race.cost().to_string());
+        }
         return Ok(());
     }
     race.check().blame(ExitCode::WrongInput)?;
-    output::note(&race.cost());
+    output::note(&race.cost().to_string());
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let mut work = RaceWork { tasks, args, options, shutdown: &shutdown, race };
     let carried_out = work.carry_out().await;

@@ -4,15 +4,12 @@ use std::path::PathBuf;
 
 use leadtime_runs::findings::{EvaluationRequest, Findings, evaluate_run, evaluate_runs};
 use leadtime_runs::report::report;
-use leadtime_runs::{LoadedPolicy, RunFiles, Tasks, find_run};
+use leadtime_runs::{LoadedPolicy, REPORT_PAGE, RunFiles, Tasks, find_run};
 
 use super::evaluation;
 use crate::cli::{ChoosingArgs, ReportArgs};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW};
-
-/// The page's file in a run directory.
-pub(super) const PAGE: &str = "report.html";
 
 pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
     let ChoosingArgs { eval_seed, action, runs, worker } = &args.choosing;
@@ -34,7 +31,7 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
                 let saved = evaluation::save(&evaluated.record, &run.directory, &policy.config);
                 saved.blame(ExitCode::WrongInput)?;
             }
-            let page = out.clone().unwrap_or_else(|| run.directory.join(PAGE));
+            let page = out.clone().unwrap_or_else(|| run.directory.join(REPORT_PAGE));
             (page, evaluated.findings)
         }
         (_, _, Some(out)) => (out.clone(), evaluate_runs(tasks, &files, &policies, &request)?),
@@ -50,6 +47,6 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
 
 /// Writes the page of a run into its directory.
 pub(super) fn write(tasks: &Tasks, run: RunFiles, findings: Findings) -> anyhow::Result<()> {
-    let page = run.directory.join(PAGE);
+    let page = run.directory.join(REPORT_PAGE);
     output::file(&page, report(tasks, &[run], findings, &output::program()).html().as_bytes())
 }

@@ -1,5 +1,6 @@
 //! `leadtime runs`: lists runs, compares two, and removes old ones.
 
+use std::io::{self, IsTerminal as _};
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -79,10 +80,11 @@ fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints the columns that fit a terminal, or all.
+/// Prints the columns that fit a terminal, or all. Names are shortened only for a terminal: a script needs whole ones.
 fn print(rows: &[ListedRun], all: bool) {
     let table = ListedRun::table(rows, all);
-    output::line(if all { table.text() } else { table.text_within(WIDTH) }.trim_end());
+    let is_whole = all || !io::stdout().is_terminal();
+    output::line(if is_whole { table.text() } else { table.text_within(WIDTH) }.trim_end());
 }
 
 fn compare(args: &RunsArgs, first: &Path, second: &Path) -> anyhow::Result<()> {

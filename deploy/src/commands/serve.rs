@@ -30,6 +30,11 @@ use crate::output;
 use crate::shutdown::{Watch, watch};
 
 pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> {
+    if !args.describe && args.listen.is_empty() && args.connect.is_empty() {
+        let sentence = "nobody could reach the notifier: say where it listens (--listen tcp/127.0.0.1:7448), or which router \
+                        it connects to (--connect tcp/HOST:7447)";
+        return Err(Failure::input(sentence));
+    }
     let policy = load(tasks, args)?;
     if args.describe {
         describe(&policy, args.json);

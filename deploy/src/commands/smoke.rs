@@ -16,7 +16,7 @@ use leadtime_runs::evaluation::EVAL_SEED;
 use leadtime_runs::findings::{EvaluationRequest, RunEvaluation, evaluate_run};
 use leadtime_runs::launch::Launch;
 use leadtime_runs::record::books_sentence;
-use leadtime_runs::{LoadedPolicy, Naming, QUICK_UPDATES, RunFiles, RunRecord, Tasks};
+use leadtime_runs::{LoadedPolicy, Naming, QUICK_UPDATES, REPORT_PAGE, RunFiles, RunRecord, Tasks};
 use serde_json::json;
 
 use super::launch::launch;
@@ -104,7 +104,7 @@ fn evaluate(tasks: &Tasks, args: &SmokeArgs, directory: &Path) -> anyhow::Result
 }
 
 fn print(args: &SmokeArgs, directory: &Path, outcome: &SmokeOutcome) {
-    let page = directory.join(report::PAGE);
+    let page = directory.join(REPORT_PAGE);
     if args.shown.json {
         output::json(&json!({
             "run": directory.display().to_string(),

@@ -15,21 +15,20 @@ use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 
 use super::lag;
-use super::launch::{goes_on, launch};
+use super::launch::{goes_on, launch_or_drain};
 use super::watch::{PageServer, beside};
 use crate::cli::{AccessArgs, UpArgs};
 use crate::credentials::{check_listening, guard_options};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
-use crate::shutdown::{Watch, watch};
+use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::trace_file::TraceFile;
 
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Result<(), Failure> {
-    let name = args.run.name.as_deref();
-    let source = args.source.changed(&args.run.change);
-    let mut config = source.load(tasks, name).blame(ExitCode::WrongInput)?;
+    let mut config = args.run.load(tasks, &args.source).blame(ExitCode::WrongInput)?;
     check_listening(&args.listen, &args.guard, Role::Learner).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let beside = match &args.watch {
         Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
         None if args.access.token.is_some() => {
@@ -39,7 +38,8 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
     };
     if args.choose_lag {
         let lag = lag::choose(tasks, args, &config, &shutdown).await?;
-        config = source.changed(&[lag]).load(tasks, name).blame(ExitCode::WrongInput)?;
+        let source = args.source.changed(&[lag]);
+        config = args.run.load(tasks, &source).blame(ExitCode::WrongInput)?;
     }
     let told = beside.clone();
     let observe = move |endpoint: &str, run: &RunName, _: &Path| {
@@ -63,7 +63,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         options,
         ..Launch::new(Naming::Resume, args.actors)
     };
-    let launched = launch(&config, &what, &shutdown).await;
+    let launched = launch_or_drain(&config, &what, &shutdown, &drained).await;
     if let Some(beside) = &beside {
         beside.end().await;
     }
