@@ -13,7 +13,8 @@
 //! ```
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
-//! configuration). A changed configuration is refused with the difference; keys that cannot change a run's bits do
+//! configuration). A finished run that has lost its newest policy counts as unfinished, so that its last checkpoint makes the
+//! policy files again. A changed configuration is refused with the difference; keys that cannot change a run's bits do
 //! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!
 //! Nothing that was trained is ever replaced from nothing: a run that has had checkpoints and lost them is refused.
@@ -126,7 +127,11 @@ impl RunDir {
             let trained = TrainingTraces::find(&path, &record).map_err(io)?;
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
-                let state = compare(&record, &before, &config.table, name, allowed)?;
+                let state = match compare(&record, &before, &config.table, name, allowed)? {
+                    // A learner writes it again from the last checkpoint, and trains nothing.
+                    RunState::Finished if trained.has_lost_policies(&path) => RunState::Unfinished,
+                    state => state,
+                };
                 fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
                 let changes = difference(&before, &config.table);
                 let grown = changes.iter().find(|change| change.key == TOTAL_STEPS).cloned();

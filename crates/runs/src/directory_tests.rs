@@ -2,6 +2,7 @@ use super::*;
 use crate::ResultCause;
 use crate::clock;
 use crate::journal::Journal;
+use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
@@ -221,6 +222,27 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     // Without a name, another run is begun instead.
     let another = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
     assert_eq!(another.1, RunState::Fresh);
+}
+
+#[test]
+fn a_finished_run_that_lost_its_policies_is_opened_again_to_write_them() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    open(runs.path(), Some("r"), &[]).unwrap().0.finish(result()).unwrap();
+    let path = runs.path().join("r");
+    assert!(is_finished(&path));
+    fs::remove_file(path.join(LAST_POLICY)).unwrap();
+    assert!(!is_finished(&path));
+    let (mut run, state) = open(runs.path(), Some("r"), &[]).unwrap();
+    assert_eq!(state, RunState::Unfinished);
+    run.finish(result()).unwrap();
+    drop(run);
+    fs::remove_file(path.join("checkpoints/000000000020.checkpoint")).unwrap();
+    let error = open(runs.path(), Some("r"), &[]).unwrap_err().to_string();
+    assert!(error.contains("put the checkpoints back"), "{error}");
+    assert!(!error.contains("--fork"), "there are no weights to fork: {error}");
+    fs::write(path.join(BEST_POLICY), "weights").unwrap();
+    assert_eq!(open(runs.path(), Some("r"), &[]).unwrap().1, RunState::Finished);
 }
 
 #[test]

@@ -95,6 +95,11 @@ impl TrainingTraces {
         if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0) }
     }
 
+    /// Tells whether policies of a run are gone that its last checkpoint holds, or the last of them.
+    pub(crate) fn has_lost_policies(&self, path: &Path) -> bool {
+        !path.join(LAST_POLICY).exists() && (self.has_checkpoints || !policy_file::is_in(path))
+    }
+
     /// Refuses a run whose checkpoints are gone: it would begin anew, over what it had trained.
     pub(crate) fn check(
         &self,
@@ -107,13 +112,24 @@ impl TrainingTraces {
         if self.has_checkpoints || !(self.had_checkpoints || is_due) {
             return Ok(());
         }
+        let weights = if policy_file::is_in(path) {
+            format!(", with --fork {name} to start from its weights")
+        } else {
+            String::new()
+        };
         let (n_updates, path) = (self.n_updates, path.join(CHECKPOINTS));
         Err(RunDirError::Refused(format!(
             "run `{name}` has {n_updates} updates on record and no checkpoint in {}, so it cannot be continued; put the \
-             checkpoints back, or take another --name, with --fork {name} to start from its weights",
+             checkpoints back, or take another --name{weights}",
             path.display()
         )))
     }
+}
+
+/// Returns whether the run in a directory has reached its end, and has a policy to show for it.
+pub fn is_finished(path: &Path) -> bool {
+    let has_ended = RunRecord::read(path).is_ok_and(|record| record.result.is_some());
+    has_ended && policy_file::is_in(path)
 }
 
 /// Lists the checkpoints of a run directory; none if it has no folder for them.

@@ -149,6 +149,11 @@ pub(crate) fn weights_digest(
     Ok(hex::encode(&Parameters::from_safetensors(bytes, policy)?.digest()?))
 }
 
+/// Returns whether a run's directory holds a policy.
+pub(crate) fn is_in(directory: &Path) -> bool {
+    [LAST_POLICY, BEST_POLICY].iter().any(|name| directory.join(name).is_file())
+}
+
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.
 pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
     let bytes = match fs::read(path) {

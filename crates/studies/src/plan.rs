@@ -7,7 +7,8 @@ use leadtime_config::{Config, Layer};
 use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
-use leadtime_runs::{BEST_POLICY, LAST_POLICY, RunRecord, Tasks, journal};
+use leadtime_runs::layout::is_finished;
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, Tasks, journal};
 use toml::Value;
 
 use crate::catalog::NamedStudy;
@@ -394,11 +395,6 @@ fn existing(runs: &Path, suffix: &str) -> Option<String> {
     let is_run =
         |name: &String| name.ends_with(suffix) && runs.join(name).join("run.json").exists();
     names.filter(is_run).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
-}
-
-/// Returns whether the run in a directory has reached its end.
-fn is_finished(directory: &Path) -> bool {
-    RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }
 
 #[cfg(test)]
