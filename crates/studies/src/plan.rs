@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use leadtime_config::{Config, Layer};
+use leadtime_episodes::known_players;
 use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
@@ -238,6 +239,24 @@ fn check_measures(part: &StudyPart, rows: &[PlannedRow]) -> Result<(), Error> {
     Ok(())
 }
 
+/// Checks that a row's task has the scripted players that its evaluations need: the row's own, and the silent one, whom every
+/// row is compared with.
+fn check_players(tasks: &Tasks, script: Option<&str>, config: &Config) -> Result<(), Error> {
+    let known = tasks.registry.build(&config.evaluation.task)?.baselines();
+    let needed = script.map(|script| (script, "`script`"));
+    let silent = (UNAIDED, "what a study compares every row with");
+    for (player, place) in needed.into_iter().chain([silent]) {
+        ensure(known.contains(&player), || {
+            let domain = &config.domain;
+            let known = known_players(known);
+            format!(
+                "there is no scripted player `{player}` ({place}) in the task `{domain}`; {known}"
+            )
+        })?;
+    }
+    Ok(())
+}
+
 /// Reads the maps that a part wants drawn, and checks that its domain has some if it wants any.
 fn plan_maps(tasks: &Tasks, part: &StudyPart, own: &Profile) -> Result<Vec<PlannedMap>, Error> {
     let check = |profile: &str, domain: &str| {
@@ -289,6 +308,7 @@ impl PlannedRow {
             conditions[place].names.push(condition.name.clone());
             conditions[place].titles.push(condition.title.clone());
         }
+        check_players(tasks, script.filter(|_| search.is_none()), &config)?;
         let hash = profile::hash(&config);
         let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
         let trained = seeds.iter().filter(|_| row.script.is_none());
