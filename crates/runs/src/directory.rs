@@ -21,7 +21,7 @@
 //! `config.toml` is written last, so a directory without it was never begun, whatever else a killed start left in it.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -34,8 +34,8 @@ use toml::Table;
 use crate::directory_error::RunDirError;
 use crate::held_out::HELD_OUT;
 use crate::layout::{
-    CHECKPOINTS, LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare, is_begun,
-    lock, read_config, read_record, write_config,
+    CHECKPOINTS, LOCK, RunState, SUPERVISED, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare,
+    is_begun, lock, read_config, read_record, write_config,
 };
 use crate::naming::{make_new, unfinished};
 use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
@@ -54,7 +54,7 @@ pub struct RunDir {
     /// How `learner.total_steps` grew since the run was last carried out, if it did.
     pub grown: Option<Change>,
     /// Held for as long as the directory is ours; the system lets go of it even after `kill -9`.
-    _lock: File,
+    lock: File,
 }
 
 impl RunDir {
@@ -142,7 +142,7 @@ impl RunDir {
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }
-                return Ok((Self { name: name.clone(), record, grown, _lock: lock, path }, state));
+                return Ok((Self { name: name.clone(), record, grown, lock, path }, state));
             }
             kept = record.origin.filter(|_| fork.is_none());
         }
@@ -151,8 +151,15 @@ impl RunDir {
             return Err(RunDirError::Refused(says));
         }
         let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
-        let run = Self { name: name.clone(), record, grown: None, _lock: lock, path };
+        let run = Self { name: name.clone(), record, grown: None, lock, path };
         Ok((run, RunState::Fresh))
+    }
+
+    /// Notes that its learner ends when its supervisor does, so that the next supervisor waits for it.
+    pub fn note_supervisor(&self) {
+        let mut lock = &self.lock;
+        // Where it cannot be written nobody waits.
+        drop(lock.write_all(SUPERVISED));
     }
 
     /// Returns the directory of its checkpoints.

@@ -8,6 +8,7 @@ use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
 
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
     let catalog = Catalog::built_in();
@@ -101,6 +102,29 @@ fn starts_in_the_same_second_choose_runs_of_their_own() {
     let (third, _) = open(runs.path(), None, &[]).unwrap();
     assert_eq!(first.name, unfinished);
     assert!(second.name != unfinished && ![&first.name, &second.name].contains(&&third.name));
+}
+
+#[test]
+fn a_supervisor_waits_for_the_learner_of_one_that_was_killed_and_for_no_other() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    let reserve =
+        || Reservation::make(&config(runs.path(), Some("r"), &[]), &Naming::Resume).map(drop);
+    let (own, _) = open(runs.path(), Some("r"), &[]).unwrap();
+    let started = Instant::now();
+    assert!(matches!(reserve(), Err(RunDirError::Locked(_))), "it was started by hand");
+    assert!(started.elapsed() < Duration::from_secs(5));
+    drop(own);
+    let (orphan, _) = open(runs.path(), Some("r"), &[]).unwrap();
+    orphan.note_supervisor();
+    let learner = std::thread::spawn(move || {
+        std::thread::sleep(Duration::from_millis(300));
+        drop(orphan);
+    });
+    reserve().unwrap();
+    learner.join().unwrap();
+    // What it has written counts for it alone.
+    assert_eq!(fs::read(runs.path().join("r/lock")).unwrap(), b"");
 }
 
 #[test]

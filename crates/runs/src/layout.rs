@@ -1,8 +1,10 @@
 //! What lies in a run directory, and what it says about the run.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, STOP_AT, TOTAL_STEPS, difference};
@@ -22,6 +24,12 @@ const CONFIG: &str = "config.toml";
 pub(crate) const LOCK: &str = "lock";
 /// The file that its supervisor locks.
 pub(crate) const SUPERVISOR_LOCK: &str = "supervisor.lock";
+/// What a learner that ends with its supervisor writes into its lock.
+pub(crate) const SUPERVISED: &[u8] = b"supervised\n";
+/// How long a learner may take to end after its supervisor was killed: a little longer than [`crate::supervise::GRACE`].
+const ORPHAN_PATIENCE: Duration = Duration::from_secs(6);
+/// Pause between two looks at whether it has.
+const ORPHAN_PAUSE: Duration = Duration::from_millis(50);
 /// The folder of its checkpoints.
 pub(crate) const CHECKPOINTS: &str = "checkpoints";
 /// What a start that was killed may leave in a directory that has no configuration yet.
@@ -179,12 +187,40 @@ pub(crate) fn compare(
 
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
     let io = |source| RunDirError::Io { path: path.to_owned(), source };
-    let file = File::create(path.join(file)).map_err(io)?;
+    // What its holder has written stays until the lock is ours.
+    let mut options = OpenOptions::new();
+    let file = options.read(true).write(true).create(true).truncate(false).open(path.join(file));
+    let file = file.map_err(io)?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => file.set_len(0).map(|()| file).map_err(io),
         Err(TryLockError::WouldBlock) => Err(RunDirError::Locked(name.to_string())),
         Err(TryLockError::Error(source)) => Err(io(source)),
     }
+}
+
+/// Takes the learner's lock for a supervisor, which holds its own; waits for a learner whose supervisor was killed, because it
+/// is about to end.
+pub(crate) fn lock_for_supervisor(path: &Path, name: &RunName) -> Result<File, RunDirError> {
+    let deadline = Instant::now() + ORPHAN_PATIENCE;
+    let mut is_told = false;
+    loop {
+        match lock(path, LOCK, name) {
+            Err(RunDirError::Locked(_)) if is_orphaned(path) && Instant::now() < deadline => {
+                if !std::mem::replace(&mut is_told, true) {
+                    tracing::info!(
+                        "the supervisor of run `{name}` was killed: waiting for its learner to end"
+                    );
+                }
+                thread::sleep(ORPHAN_PAUSE);
+            }
+            locked => return locked,
+        }
+    }
+}
+
+/// Tells whether a learner that holds the lock had a supervisor, of which the caller knows that it is gone.
+fn is_orphaned(path: &Path) -> bool {
+    fs::read(path.join(LOCK)).is_ok_and(|text| text == SUPERVISED)
 }
 
 pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
