@@ -40,6 +40,7 @@ use crate::layout::{
 use crate::naming::{make_new, unfinished};
 use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
 use crate::record::INITIAL_POLICY;
+use crate::regular;
 use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult, SettingChange};
 
 /// A locked run directory.
@@ -102,7 +103,8 @@ impl RunDir {
         let name = name.ok_or_else(|| refused("say which run goes on, by --name"))?;
         let path = config.run.directory.join(name.as_str());
         if !is_begun(&path)? {
-            return Err(refused(&format!("there is no run `{name}` in {}", path.display())));
+            let runs = config.run.directory.display();
+            return Err(refused(&format!("there is no run `{name}` in {runs}")));
         }
         Self::open_named(config, name, None, build, keys)
     }
@@ -185,7 +187,7 @@ impl RunDir {
                 path.display()
             ))
         };
-        let bytes = fs::read(&path).map_err(|error| lost(error.to_string()))?;
+        let bytes = regular::read(&path).map_err(|error| lost(error.to_string()))?;
         let digest = weights_digest(&bytes, &config.policy);
         if digest.map_err(|error| lost(error.to_string()))? != origin.weights_sha256 {
             return Err(lost("their digest is not the one on record".to_owned()));
@@ -254,7 +256,7 @@ fn adopt_origin(path: &Path, record: &mut RunRecord, config: &Config) {
     if record.origin.is_some() {
         return;
     }
-    let Ok(bytes) = fs::read(path.join(INITIAL_POLICY)) else { return };
+    let Ok(bytes) = regular::read(&path.join(INITIAL_POLICY)) else { return };
     let digest = weights_digest(&bytes, &config.policy).unwrap_or_default();
     record.origin = Some(ForkOrigin { run: "unknown".to_owned(), weights_sha256: digest });
 }

@@ -1,6 +1,7 @@
 use super::*;
 use crate::ResultCause;
 use crate::clock;
+use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation};
@@ -247,6 +248,30 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     // Without a name, another run is begun instead.
     let another = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
     assert_eq!(another.1, RunState::Fresh);
+}
+
+#[test]
+fn a_damaged_file_is_named_with_what_helps() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    let path = runs.path().join("r");
+    let says = || open(runs.path(), Some("r"), &[]).unwrap_err();
+    let helps = "put a copy of the file back, or begin a new run under another --name, from the policy of this one by --fork r";
+    for (file, last, fault) in [
+        ("config.toml", '=', "r/config.toml is not a configuration: "),
+        ("run.json", ':', "r/run.json is not the record of a run: "),
+    ] {
+        let whole = fs::read_to_string(path.join(file)).unwrap();
+        fs::write(path.join(file), &whole[..=whole.rfind(last).unwrap()]).unwrap();
+        let text = says().to_string();
+        assert!(text.contains(fault) && text.ends_with(helps), "{text}");
+        assert!(!text.contains("is not a run directory"), "{text}");
+        fs::write(path.join(file), whole).unwrap();
+    }
+    fs::remove_file(path.join("metrics.jsonl")).unwrap();
+    fs::create_dir(path.join("metrics.jsonl")).unwrap();
+    let text = with_causes(&says());
+    assert!(text.ends_with("r cannot be used: metrics.jsonl is not a file"), "{text}");
 }
 
 #[test]

@@ -15,8 +15,8 @@ use toml::Table;
 use crate::directory_error::{RunDirError, with_causes};
 use crate::journal::Journal;
 use crate::policy_file::{self, LAST_POLICY};
-use crate::record::{INITIAL_POLICY, RECORD};
-use crate::{ResultCause, RunRecord, RunResult, journal};
+use crate::record::{INITIAL_POLICY, RECORD, RecordError};
+use crate::{ResultCause, RunRecord, RunResult, journal, regular};
 
 /// The configuration's file in a run directory.
 const CONFIG: &str = "config.toml";
@@ -220,11 +220,33 @@ pub(crate) fn lock_for_supervisor(path: &Path, name: &RunName) -> Result<File, R
 
 /// Tells whether a learner that holds the lock had a supervisor, of which the caller knows that it is gone.
 fn is_orphaned(path: &Path) -> bool {
-    fs::read(path.join(LOCK)).is_ok_and(|text| text == SUPERVISED)
+    regular::read(&path.join(LOCK)).is_ok_and(|text| text == SUPERVISED)
 }
 
 pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
-    RunRecord::read(path).map_err(|error| no_run(path, &with_causes(&error)))
+    RunRecord::read(path).map_err(|error| match error {
+        RecordError::Newer { .. } => RunDirError::Refused(error.to_string()),
+        RecordError::Unreadable { .. } if is_run(path) => damaged(path, &with_causes(&error)),
+        RecordError::Unreadable { .. } => no_run(path, &with_causes(&error)),
+    })
+}
+
+/// Tells whether a directory is a run's, even if a file in it cannot be read.
+fn is_run(path: &Path) -> bool {
+    [RECORD, CONFIG].iter().any(|file| path.join(file).exists())
+}
+
+/// Says which file of a run is damaged, and what helps.
+fn damaged(path: &Path, what: &str) -> RunDirError {
+    let name = path.file_name().unwrap_or(path.as_os_str()).display();
+    let weights = if policy_file::is_in(path) {
+        format!(", from the policy of this one by --fork {name}")
+    } else {
+        String::new()
+    };
+    RunDirError::Refused(format!(
+        "{what}; put a copy of the file back, or begin a new run under another --name{weights}"
+    ))
 }
 
 /// Reads the configuration that a run was last carried out with.
@@ -233,11 +255,13 @@ pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
 ///
 /// [`RunDirError`] if `config.toml` is missing or unreadable.
 pub fn read_config(path: &Path) -> Result<Table, RunDirError> {
-    let path = path.join(CONFIG);
-    let io = |source| RunDirError::Io { path: path.clone(), source };
-    let text = fs::read_to_string(&path).map_err(io)?;
-    let shown = path.display();
-    text.parse().map_err(|error| no_run(&path, &format!("{shown} is not a configuration: {error}")))
+    let file = path.join(CONFIG);
+    let io = |source| RunDirError::Io { path: file.clone(), source };
+    let text = regular::read_to_string(&file).map_err(io)?;
+    let shown = file.display();
+    text.parse::<Table>().map_err(|error| {
+        damaged(path, &format!("{shown} is not a configuration: {}", error.message()))
+    })
 }
 
 pub(crate) fn write_config(path: &Path, config: &Config) -> io::Result<()> {

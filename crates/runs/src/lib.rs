@@ -45,6 +45,7 @@ pub mod prune;
 pub mod race;
 pub mod record;
 mod recorder;
+mod regular;
 pub mod report;
 mod run_files;
 pub mod scratch;

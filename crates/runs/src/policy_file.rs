@@ -17,6 +17,7 @@ use crate::ForkOrigin;
 use crate::digest::sha256;
 use crate::directory_error::with_causes;
 use crate::find::did_you_mean_run;
+use crate::regular;
 
 /// File of the newest policy in a run directory.
 pub const LAST_POLICY: &str = "policy.safetensors";
@@ -156,7 +157,7 @@ pub(crate) fn is_in(directory: &Path) -> bool {
 
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.
 pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
-    let bytes = match fs::read(path) {
+    let bytes = match regular::read(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
         bytes => bytes?,
     };
