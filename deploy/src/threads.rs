@@ -5,12 +5,15 @@
 //! A variable cannot be set safely inside a running process, so the program starts itself once more in the same process
 //! (same id, same files) with the variables set, before it does anything else. Children of the supervisor inherit them.
 
-use std::env;
+use std::env::{self, VarError};
 use std::os::unix::process::CommandExt as _;
 use std::process::Command;
 
-use leadtime_link::RUNTIME_VARIABLE;
+use leadtime_link::{RUNTIME_VARIABLE, runtime_fault};
+use leadtime_proto::text::quoted;
 use leadtime_runs::build::running_program;
+
+use crate::exit::Failure;
 
 /// The variables that the numeric libraries read.
 const NUMERIC: [&str; 2] = ["RAYON_NUM_THREADS", "OMP_NUM_THREADS"];
@@ -49,6 +52,28 @@ fn unset(is_set: impl Fn(&str) -> bool) -> Vec<(&'static str, String)> {
     unset
 }
 
+/// Refuses a number of threads for the network library that it cannot read.
+pub(crate) fn check() -> Result<(), Failure> {
+    checked(env::var(RUNTIME_VARIABLE))
+}
+
+fn checked(wanted: Result<String, VarError>) -> Result<(), Failure> {
+    let help = "leave it unset, or write for example `(net: (worker_threads: 2))`";
+    let refused = |reason: String| Failure::input(format!("{RUNTIME_VARIABLE} {reason}; {help}"));
+    match wanted {
+        Ok(value) => match runtime_fault(&value) {
+            Some(fault) => Err(refused(format!(
+                "is `{}`, which the network library cannot read: {}",
+                quoted(&value),
+                quoted(&fault)
+            ))),
+            None => Ok(()),
+        },
+        Err(VarError::NotUnicode(_)) => Err(refused("is not text".to_owned())),
+        Err(VarError::NotPresent) => Ok(()),
+    }
+}
+
 /// Returns the number of threads that the numeric libraries were told to use, for the run's record.
 pub(crate) fn configured() -> String {
     env::var(NUMERIC[0]).unwrap_or_else(|_| "unset".to_owned())
@@ -57,6 +82,14 @@ pub(crate) fn configured() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn threads_that_the_network_library_cannot_read_are_refused() {
+        checked(Err(VarError::NotPresent)).unwrap();
+        checked(Ok(leadtime_link::runtime())).unwrap();
+        let error = checked(Ok("nonsense".to_owned())).unwrap_err();
+        assert!(format!("{error:?}").contains("ZENOH_RUNTIME is `nonsense`, which"), "{error:?}");
+    }
 
     #[test]
     fn what_the_person_has_set_stays_and_the_rest_is_set_once() {

@@ -13,7 +13,8 @@ use crate::report::{ProgressSink, RatedPolicy, RunEnd, RunReport, Standing};
 use crate::resume::{ResumePoint, TrainingRecord};
 use crate::{Error, LearnerConfig};
 
-/// Ends a run whose updates were all made before: evaluates the policies that still wait for it.
+/// Ends a run whose updates were all made before: evaluates the policies that still wait for it, and hands the newest and the
+/// best one on once more, because their files may have been lost since.
 pub(crate) async fn already_trained(
     config: &LearnerConfig,
     mut point: ResumePoint,
@@ -30,9 +31,9 @@ pub(crate) async fn already_trained(
         if !evaluations.finish(&mut point.record.held_out, sink, stop, &standing).await {
             end = RunEnd::Stopped;
         }
-        last.held_out = point.record.held_out.of(version);
-        sink.on_policies(&last, best(&point.record, Some(evaluations), &last));
     }
+    last.held_out = point.record.held_out.of(version);
+    sink.on_policies(&last, best(&point.record, evaluations.as_ref(), &last));
     let CoordinatorStart { books, builds, .. } = point.start;
     let policies = FinalPolicies::of(&point.record, evaluations.as_ref(), last);
     report(config, end, policies, point.record, books, builds)

@@ -175,8 +175,8 @@ pub enum EnvDefect {
     )]
     NotReset(Divergence),
     /// An environment refuses a snapshot of its own.
-    #[error("`restore` refuses the environment's own snapshot of {at}: {source}")]
-    NotRestored { at: StepPlace, source: SnapshotError },
+    #[error("`restore` refuses the environment's own snapshot of {at}: {fault}")]
+    NotRestored { at: StepPlace, fault: SnapshotError },
     /// A restored episode goes on in another way.
     #[error(
         "after the snapshot of {from} was restored, {divergence} ({}); {cause}",
@@ -341,8 +341,8 @@ impl Recording {
     fn resume(&self, env: &mut dyn Environment, step: usize) -> Option<EnvDefect> {
         let (from, expected) = (self.place(step), &self.shown[step]);
         let mut observation = unwritten(env);
-        if let Err(source) = env.restore(&expected.snapshot, &mut observation) {
-            return Some(EnvDefect::NotRestored { at: from, source });
+        if let Err(fault) = env.restore(&expected.snapshot, &mut observation) {
+            return Some(EnvDefect::NotRestored { at: from, fault });
         }
         // The reward and the end belong to the step before, which nobody asks for again.
         let found = Shown::of(env, observation, expected.outcome);

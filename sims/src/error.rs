@@ -13,8 +13,8 @@ pub enum TaskError {
     #[error("there is no domain `{domain}`; known: {}", known.join(", "))]
     UnknownDomain { domain: String, known: Vec<String> },
     /// The settings are not of the right form: an unknown key, a wrong type.
-    #[error("settings of domain `{domain}` cannot be read: {source}")]
-    Settings { domain: &'static str, source: serde_json::Error },
+    #[error("settings of domain `{domain}` cannot be read: {fault}")]
+    Settings { domain: &'static str, fault: serde_json::Error },
     /// A well-formed setting that is impossible.
     #[error(transparent)]
     Setting(#[from] SettingError),

@@ -249,5 +249,5 @@ impl Registry {
 ///
 /// [`TaskError::Settings`] naming the key that is unknown or of the wrong type, and where it stands.
 pub fn read<T: DeserializeOwned>(domain: &'static str, settings: &str) -> Result<T, TaskError> {
-    serde_json::from_str(settings).map_err(|source| TaskError::Settings { domain, source })
+    serde_json::from_str(settings).map_err(|fault| TaskError::Settings { domain, fault })
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
-use std::io::{Read as _, Seek as _, Write as _};
+use std::io::{self, Read as _, Seek as _, Write as _};
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -12,6 +12,8 @@ use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,
     Issuer, KeyPair, KeyUsagePurpose, PublicKeyData, SerialNumber, SubjectPublicKeyInfo,
 };
+use rustls::pki_types::PrivateKeyDer;
+use rustls::pki_types::pem::PemObject as _;
 use time::OffsetDateTime;
 
 use crate::files::{self, Durability, Readers, failed};
@@ -24,6 +26,13 @@ const AUTHORITY_LIFETIME: Duration = Duration::from_hours(24 * 3650);
 const MAX_LIFETIME: Duration = Duration::from_hours(24 * 36_500);
 /// A certificate begins so long before it is made: the clocks of two machines differ.
 const CLOCK_SKEW: Duration = Duration::from_mins(5);
+
+/// What a damaged file of serial numbers holds, and what helps.
+const NO_SERIAL: &str = "no serial number: write the number of the last certificate into it, \
+                         or remove it to count from 1 again";
+/// What a damaged key holds, and what helps.
+const NO_KEY: &str =
+    "no private key, so its certificate is of no use: remove both, and issue them again";
 
 /// A certificate that was made.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -200,12 +209,14 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::File`] if the directory cannot be read or written, [`Error::Content`] if the file of the authority holds
-    /// something else.
+    /// [`Error::File`] if the directory cannot be read or written, [`Error::Content`] if the file of the authority, or that of
+    /// a key that is here, holds something else.
     pub fn renew(&mut self, before: Duration, now: Timestamp) -> Result<Vec<Issued>> {
         let soon = add(now, before)?;
         let mut renewed = Self::list(&self.directory)?.issued;
         renewed.retain(|issued| issued.certificate.ends <= soon);
+        // Before the first of them is made.
+        renewed.iter().try_for_each(|issued| self.check_key(&issued.name))?;
         let mut made = Vec::new();
         for Issued { role, name, path, certificate: old } in renewed {
             let key = SubjectPublicKeyInfo::from_der(&old.public_key)?;
@@ -217,6 +228,20 @@ impl Authority {
             made.push(Issued { role, certificate: Certificate::read(&path)?, name, path });
         }
         Ok(made)
+    }
+
+    /// Refuses a key that is here, and is none: its certificate would be renewed for nothing.
+    fn check_key(&self, name: &PeerName) -> Result<()> {
+        let [_, path] = self.files(name);
+        let away = [io::ErrorKind::NotFound, io::ErrorKind::PermissionDenied];
+        match files::read(&path) {
+            Err(Error::File { source, .. }) if away.contains(&source.kind()) => Ok(()),
+            Err(error) => Err(error),
+            Ok(bytes) => match PrivateKeyDer::from_pem_slice(&bytes) {
+                Ok(_) => Ok(()),
+                Err(_odd) => Err(content(&path)(NO_KEY.to_owned())),
+            },
+        }
     }
 
     /// Lists what the authority of a directory has issued there, whether it is still valid or not.
@@ -278,16 +303,17 @@ impl Authority {
     /// Counts up the serial number, in its file first: no number is given twice.
     fn next_serial(&mut self) -> Result<u64> {
         let path = self.directory.join("serial");
-        let mut text = String::new();
+        let mut bytes = Vec::new();
         let mut read = || {
             self.serial.rewind()?;
-            self.serial.read_to_string(&mut text)
+            self.serial.read_to_end(&mut bytes)
         };
         read().map_err(failed("read", &path))?;
+        let text = String::from_utf8_lossy(&bytes);
         let last = text.trim();
         let last = if last.is_empty() { Ok(0) } else { last.parse::<u64>() };
         let next = last.ok().and_then(|last| last.checked_add(1));
-        let next = next.ok_or_else(|| content(&path)("no serial number".to_owned()))?;
+        let next = next.ok_or_else(|| content(&path)(NO_SERIAL.to_owned()))?;
         let mut write = || {
             self.serial.rewind()?;
             // A number never has fewer digits than the one before it.

@@ -60,6 +60,7 @@ pub(crate) fn write(
 /// Reads a file of limited size.
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     let fail = || failed("read", path);
+    check_is_file(path)?;
     let n_bytes = fs::metadata(path).map_err(fail())?.len();
     if n_bytes > MAX_BYTES {
         let found = format!("{n_bytes} bytes: that is no certificate or key");
@@ -68,8 +69,17 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(fail())
 }
 
+/// Refuses what is no file, such as a pipe: its reader could wait for ever.
+fn check_is_file(path: &Path) -> Result<()> {
+    if fs::metadata(path).map_err(failed("read", path))?.is_file() {
+        return Ok(());
+    }
+    Err(failed("read", path)(std::io::Error::other("it is not a file")))
+}
+
 /// Refuses a key that everybody can read. Its group may: that is how secrets are handed to containers.
 pub(crate) fn check_key_is_secret(path: &Path) -> Result<()> {
+    check_is_file(path)?;
     let mode = fs::metadata(path).map_err(failed("read", path))?.permissions().mode() & 0o777;
     let everybody = mode & 0o007;
     if everybody == 0 {
@@ -80,6 +90,9 @@ pub(crate) fn check_key_is_secret(path: &Path) -> Result<()> {
 
 /// Takes a directory for this process alone, until the file is dropped.
 pub(crate) fn lock(path: &Path, directory: &Path) -> Result<File> {
+    if path.exists() {
+        check_is_file(path)?;
+    }
     let file = File::options().read(true).write(true).create(true).truncate(false).open(path);
     let file = file.map_err(failed("write", path))?;
     match file.try_lock() {

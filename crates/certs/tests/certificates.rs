@@ -243,3 +243,47 @@ fn what_peers_would_refuse_is_refused_before() {
     let missing = Identity::read(&at("a9"), now()).unwrap_err();
     assert!(matches!(missing, Error::File { .. }));
 }
+
+#[test]
+fn a_damaged_file_of_an_authority_is_named_with_what_helps() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let mut authority = authority(dir.path());
+    let issued = issue(&mut authority, Role::Actor, "a1");
+    let mut renew = || authority.renew(100 * DAY, now());
+    // The key of a process need not be here.
+    let key = fs::read(at("a1.key")).unwrap();
+    fs::remove_file(at("a1.key")).unwrap();
+    assert_eq!(renew().unwrap().len(), 1);
+    let before = fs::read(&issued.path).unwrap();
+    fs::write(at("a1.key"), "").unwrap();
+    let error = renew().unwrap_err().to_string();
+    assert!(error.contains("a1.key holds no private key") && error.contains("issue"), "{error}");
+    assert!(fs::read(&issued.path).unwrap() == before, "nothing was renewed");
+    fs::write(at("a1.key"), key).unwrap();
+    for damage in [&b"many"[..], b"\xff\xfe"] {
+        fs::write(at("serial"), damage).unwrap();
+        let error = renew().unwrap_err().to_string();
+        assert!(error.contains("serial holds no serial number: write"), "{error}");
+    }
+    fs::remove_file(at("ca.key")).unwrap();
+    fs::create_dir(at("ca.key")).unwrap();
+    drop(authority);
+    let error = Authority::open(dir.path(), now()).unwrap_err();
+    let cause = std::error::Error::source(&error).unwrap().to_string();
+    assert!(
+        error.to_string().ends_with("ca.key") && cause == "it is not a file",
+        "{error}: {cause}"
+    );
+}
+
+#[test]
+fn nobody_waits_for_a_pipe_in_the_place_of_a_certificate() {
+    let dir = tempfile::tempdir().unwrap();
+    drop(authority(dir.path()));
+    let pipe = dir.path().join("a1.pem");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let error = Certificate::read(&pipe).unwrap_err();
+    assert_eq!(std::error::Error::source(&error).unwrap().to_string(), "it is not a file");
+    assert_eq!(Authority::list(dir.path()).unwrap().left_out.len(), 1);
+}

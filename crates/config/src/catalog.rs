@@ -226,7 +226,7 @@ fn without_null(value: &serde_json::Value) -> serde_json::Value {
 }
 
 /// Returns the domain of the topmost text that names one.
-fn domain_of(layers: &[Layer]) -> Result<String, ConfigError> {
+pub(crate) fn domain_of(layers: &[Layer]) -> Result<String, ConfigError> {
     for layer in layers.iter().rev() {
         if let Some(domain) = word(&layer.parse()?, "domain")? {
             return Ok(domain.to_owned());

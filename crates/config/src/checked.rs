@@ -12,12 +12,13 @@ use leadtime_ppo::checkpoints::{
 use leadtime_ppo::{LearnerSettings, Mode};
 use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, MAX_WEIGHTS_BYTES, MAX_WINDOW};
 use leadtime_proto::phrase::{counted, nearest};
+use leadtime_proto::text::quoted;
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
 use leadtime_sims::{Description, Environment, Registry, notifier};
 use toml::Table;
 use toml::de::{DeTable, DeValue};
 
-use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT};
+use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT, domain_of};
 use crate::error::{ConfigError, ensure, within};
 use crate::identity::{TOTAL_STEPS, without_retired};
 use crate::layers::{Layer, Layers};
@@ -192,6 +193,7 @@ impl Config {
 
     /// Lays the layers over each other, reads the result once, and checks it.
     fn resolve(mut layers: Vec<Layer>, registry: &Registry) -> Result<Self, ConfigError> {
+        same_domain(&layers)?;
         let layers = Layers::merge(&mut layers)?;
         let mut root = layers.table.clone();
         let sections = sections::take(&mut root);
@@ -270,6 +272,19 @@ impl Config {
             format!("steps rounded {which} from {steps} to {trained}: {updates} of {batch}");
         (trained != steps).then_some(rounded)
     }
+}
+
+/// Refuses an option that asks for another domain than the texts below it are about, because their sections are not its own.
+fn same_domain(layers: &[Layer]) -> Result<(), ConfigError> {
+    let asked = layers.iter().enumerate().find_map(|(i, layer)| Some((i, layer.asked_domain()?)));
+    let Some((i, asked)) = asked else { return Ok(()) };
+    let about = domain_of(&layers[..i])?;
+    let fits = about == GENERAL || asked.as_str() == Some(about.as_str());
+    let allowed = format!(
+        "\"{about}\", which the configuration is about; another domain has a configuration of its own, by -c"
+    );
+    ensure(fits, "domain", quoted(&asked.to_string()), allowed)
+        .map_err(|error| error.at(&layers[i].place))
 }
 
 /// Refuses an unknown top-level key, and finds the section, or the section's key, that was meant.

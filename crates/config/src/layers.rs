@@ -29,6 +29,8 @@ const SUBSECTION: &str = "world";
 const OPEN: &str = "env";
 /// The key that names what a file starts from.
 pub(crate) const BASE: &str = "base";
+/// The key that names what a configuration is about.
+const DOMAIN: &str = "domain";
 /// Characters of a line that are shown on each side of an error.
 const SHOWN: usize = 60;
 
@@ -63,6 +65,12 @@ impl Layer {
     /// Makes a layer of another option of the command line, which stands for a change of one key.
     pub fn option(option: impl Into<String>, change: &Override) -> Self {
         Self { change: Some(change.clone()), ..Self::text(option, change.to_string()) }
+    }
+
+    /// Returns the domain that an option of the command line asks for, if the layer is one that does.
+    pub(crate) fn asked_domain(&self) -> Option<&Value> {
+        let change = self.change.as_ref()?;
+        (change.key() == DOMAIN).then_some(&change.value)
     }
 
     /// Reads the text on its own; refuses what is not TOML, or nested too deeply.
@@ -161,7 +169,9 @@ impl<'a> Layers<'a> {
     /// Reads a part of the result into its type; refuses an unknown key or a wrong type, with the place where it was
     /// written and what is allowed.
     pub(crate) fn read<T: DeserializeOwned>(&self, table: DeTable<'a>) -> Result<T, ConfigError> {
-        T::deserialize(Deserializer::from(Spanned::new(0..0, table)))
+        // A section that is missing is one that the domain needs.
+        let domain = self.table.get(DOMAIN).map_or(0..0, Spanned::span);
+        T::deserialize(Deserializer::from(Spanned::new(domain, table)))
             .map_err(|error: Error| self.refuse(error.span(), &shortened(error.message())))
     }
 
@@ -238,6 +248,9 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
                     || !is_other_choice(below, &above) =>
             {
                 overlay(below, above, false)?;
+                // What is wrong with it as a whole is wrong since it was written last.
+                let merged = DeValue::Table(std::mem::take(below));
+                drop(base.insert(key, Spanned::new(span, merged)));
             }
             (Some(DeValue::Table(below)), above) if !is_table && (is_root || above.is_array()) => {
                 let keys = below.keys().map(ToString::to_string).collect::<Vec<_>>().join(", ");

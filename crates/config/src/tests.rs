@@ -369,6 +369,14 @@ fn what_is_wrong_is_reported_by_line_or_option_with_what_is_allowed() {
     ] {
         refused("", &[set], &parts);
     }
+    // What two texts make together is the fault of the one that was written last.
+    let two = "base = \"lander\"\n[human]\nreaction_delay = { fixed = 2, uniform = [0, 3] }";
+    let text =
+        refused(two, &[], &["configuration my.toml: ", "line 3", "a second choice `uniform`"]);
+    assert!(!text.contains("built-in"), "{text}");
+    let says = "--set domain: `domain` is \"lander\"; allowed: \"cartpole\", which the configuration is about";
+    refused("domain = \"cartpole\"", &["domain=lander"], &[says]);
+    load("domain = \"cartpole\"", &["domain=cartpole"], &Catalog::built_in()).unwrap();
 }
 
 #[test]

@@ -13,6 +13,11 @@ pub enum ReplayError {
     /// It is of no known format.
     #[error("{what} cannot be read")]
     Format { what: &'static str, source: serde_json::Error },
+    /// It is of another world than the one that was asked for.
+    #[error(
+        "the traces are of `{found}`, not of `{asked}`: `leadtime conformance {found}` replays them"
+    )]
+    OtherWorld { asked: &'static str, found: &'static str },
     /// There is nothing to compare.
     #[error("the {what} to compare")]
     Empty { what: &'static str },

@@ -1,6 +1,7 @@
 //! What every world's replay comes to: a report, and the same as tables.
 
 use leadtime_lander::world::Physics;
+use serde_json::Value;
 
 use crate::error::ReplayError;
 use crate::section::Section;
@@ -37,6 +38,37 @@ impl Original {
     ///
     /// [`ReplayError`] if the text is of no known format, or holds nothing to compare.
     pub fn replay(self, text: &str) -> Result<Replay, ReplayError> {
+        self.replay_as_asked(text).map_err(|error| match (error, Self::of(text)) {
+            (ReplayError::Format { .. }, Some(found)) if found != self => {
+                ReplayError::OtherWorld { asked: self.name(), found: found.name() }
+            }
+            (error, _) => error,
+        })
+    }
+
+    /// Returns the world that traces are of, as far as they say so.
+    fn of(text: &str) -> Option<Self> {
+        let traces: Value = serde_json::from_str(text).ok()?;
+        if traces["meta"]["highway_env"].is_string() {
+            return Some(Self::Highway);
+        }
+        match &traces["source"] {
+            Value::String(_) => Some(Self::Lander),
+            Value::Object(_) => Some(Self::Steakhouse),
+            _ => None,
+        }
+    }
+
+    /// Returns the name of our world.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Lander => "lander",
+            Self::Highway => "highway",
+            Self::Steakhouse => "steakhouse",
+        }
+    }
+
+    fn replay_as_asked(self, text: &str) -> Result<Replay, ReplayError> {
         // A report has its own type in each world, and the same is wanted of each.
         macro_rules! replay {
             ($report:expr) => {{
@@ -54,5 +86,32 @@ impl Original {
             Self::Highway => replay!(highway::replay(text)),
             Self::Steakhouse => replay!(steakhouse::replay(text)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn traces_of_another_world_are_told_apart_from_damaged_ones() {
+        let lander = r#"{"source": "gymnasium", "episodes": []}"#;
+        let highway = r#"{"meta": {"highway_env": "1.10", "dt": 0.1}}"#;
+        let kitchen = r#"{"source": {"repository": "r", "commit": "c"}, "traces": []}"#;
+        let says = |asked: Original, text: &str| asked.replay(text).unwrap_err().to_string();
+        for (asked, text, found) in [
+            (Original::Highway, lander, "lander"),
+            (Original::Steakhouse, lander, "lander"),
+            (Original::Lander, highway, "highway"),
+            (Original::Highway, kitchen, "steakhouse"),
+        ] {
+            let says = says(asked, text);
+            assert!(
+                says.contains(&format!("are of `{found}`, not of `{}`", asked.name())),
+                "{says}"
+            );
+        }
+        assert_eq!(says(Original::Highway, "{}"), "traces cannot be read");
+        assert_eq!(says(Original::Lander, "{"), "traces cannot be read");
     }
 }

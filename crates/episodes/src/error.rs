@@ -3,6 +3,11 @@
 use leadtime_sims::TaskError;
 use thiserror::Error;
 
+/// Lists the scripted players of a task, as the end of a sentence about one that it does not have.
+pub fn known_players(known: &[&str]) -> String {
+    if known.is_empty() { "it has none".to_owned() } else { format!("known: {}", known.join(", ")) }
+}
+
 /// Why episodes could not be played.
 #[derive(Debug, Error)]
 pub enum Error {
@@ -25,7 +30,7 @@ pub enum Error {
         expected: [usize; 2],
     },
     /// The task has no such scripted player.
-    #[error("the task has no scripted player `{name}`; known: {}", known.join(", "))]
+    #[error("the task has no scripted player `{name}`; {}", known_players(known))]
     UnknownBaseline {
         /// The name that was asked for.
         name: String,

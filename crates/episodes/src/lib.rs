@@ -22,7 +22,7 @@ mod player;
 mod scripted;
 mod slot;
 
-pub use error::Error;
+pub use error::{Error, known_players};
 pub use lockstep::{Decision, Lockstep, Observer};
 pub use play::{EpisodeObserver, MakeEnvironment, PlaySettings, episode_seed, play};
 pub use player::{Choice, Decider, Player};

@@ -88,5 +88,5 @@ pub use learner::LearnerLink;
 pub use observer::{ObserverEvent, ObserverLink};
 pub use relay::RelayCounts;
 pub use router::RouterLink;
-pub use runtime::{RUNTIME_VARIABLE, runtime};
+pub use runtime::{RUNTIME_VARIABLE, runtime, runtime_fault};
 pub use session::{ConnectSettings, ListenSettings};

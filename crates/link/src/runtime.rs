@@ -5,6 +5,12 @@
 //! would give the lock free finds no thread to run on until it gives up after ten seconds, once for every connection. So
 //! actors stayed away for minutes.
 
+use std::num::NonZeroUsize;
+
+use ron::extensions::Extensions;
+use ron::options::Options;
+use serde::Deserialize;
+
 /// The variable; a value that the person has set is theirs.
 pub const RUNTIME_VARIABLE: &str = "ZENOH_RUNTIME";
 /// Threads that may block, for each runtime in which connections end, open and receive: more than twice the connections
@@ -25,6 +31,59 @@ pub fn runtime() -> String {
     )
 }
 
+/// Returns why the library cannot use a value of the variable; `None` if it can.
+///
+/// The library does not say it: it panics when its first thread starts, in every process of a run.
+pub fn runtime_fault(value: &str) -> Option<String> {
+    let options = Options::default().with_default_extension(Extensions::IMPLICIT_SOME);
+    options.from_str::<Runtimes>(value).err().map(|error| error.to_string())
+}
+
+/// What the library reads from the variable.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "it is only checked that it can be read")]
+struct Runtimes {
+    #[serde(default)]
+    app: Option<RuntimeLimits>,
+    #[serde(default)]
+    acc: Option<RuntimeLimits>,
+    #[serde(default)]
+    tx: Option<RuntimeLimits>,
+    #[serde(default)]
+    rx: Option<RuntimeLimits>,
+    #[serde(default)]
+    net: Option<RuntimeLimits>,
+}
+
+/// The limits of one of its runtimes.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "it is only checked that it can be read")]
+struct RuntimeLimits {
+    #[serde(default = "one")]
+    worker_threads: NonZeroUsize,
+    #[serde(default = "one")]
+    max_blocking_threads: NonZeroUsize,
+    #[serde(default)]
+    handover: Option<RuntimeName>,
+}
+
+/// One of its runtimes.
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum RuntimeName {
+    App,
+    Acc,
+    Tx,
+    Rx,
+    Net,
+}
+
+fn one() -> NonZeroUsize {
+    NonZeroUsize::MIN
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -36,5 +95,22 @@ mod tests {
         let max_actors = ListenSettings::new(Vec::new()).max_actors;
         assert!(N_BLOCKING > 2 * max_actors && N_BLOCKING > 2 * ACCEPT.0 as usize);
         assert_eq!(runtime().matches("2048").count(), 3, "{}", runtime());
+    }
+
+    #[test]
+    fn what_the_library_would_panic_at_is_known_before() {
+        for good in [runtime().as_str(), "()", "(rx: (handover: app), tx: (worker_threads: 2))"] {
+            assert_eq!(runtime_fault(good), None, "{good}");
+        }
+        for bad in [
+            "",
+            "nonsense",
+            "(net: 2)",
+            "(nte: (worker_threads: 1))",
+            "(net: (worker_threads: 0))",
+            "(net: (handover: nowhere))",
+        ] {
+            assert!(runtime_fault(bad).is_some_and(|why| !why.is_empty()), "{bad}");
+        }
     }
 }

@@ -51,7 +51,7 @@ pub struct LearnerSettings {
     pub gae_lambda: f64,
     /// Minibatches per epoch. Default 4.
     pub n_minibatches: usize,
-    /// Passes over the data per update. Default 4.
+    /// Passes over the data per update, 1..=1000. Default 4.
     pub n_epochs: usize,
     /// Clip range of the probability ratio, and of the value where it is clipped. Default 0.2.
     pub clip: f64,
@@ -75,7 +75,7 @@ pub struct LearnerSettings {
     pub normalize_rewards: bool,
     /// `sync` (default), `lag` or `async`.
     pub mode: Mode,
-    /// Updates that acting runs ahead in mode `lag`. Default 1.
+    /// Updates that acting runs ahead in mode `lag`, 1..=64 in every mode. Default 1.
     pub lag: u64,
     /// Oldest rollouts, in versions, that mode `async` trains on. Default 8.
     pub staleness_max: u64,
@@ -127,6 +127,8 @@ pub struct SettingsError {
 /// The most threads that share an update: more blocks than that has no minibatch in use.
 pub const MAX_THREADS: usize = 64;
 
+/// The most passes over the data of one update: with more of them a run would seem to stand still.
+const MAX_EPOCHS: usize = 1_000;
 const ABOVE_0: &str = "above 0 and at most 1000000";
 
 impl LearnerSettings {
@@ -151,14 +153,14 @@ impl LearnerSettings {
             (unit(self.gamma), "gamma", "from 0 to 1"),
             (unit(self.gae_lambda), "gae_lambda", "from 0 to 1"),
             (minibatches_fit, "n_minibatches", "from 1 to n_envs * n_steps"),
-            (self.n_epochs > 0, "n_epochs", "at least 1"),
+            ((1..=MAX_EPOCHS).contains(&self.n_epochs), "n_epochs", "from 1 to 1000"),
             (positive(self.clip), "clip", ABOVE_0),
             (not_negative(self.entropy_coef), "entropy_coef", "from 0 to 1000000"),
             (not_negative(self.value_coef), "value_coef", "from 0 to 1000000"),
             (positive(self.max_grad_norm), "max_grad_norm", ABOVE_0),
             (self.target_kl.is_none_or(positive), "target_kl", ABOVE_0),
             (positive(self.reward_scale), "reward_scale", ABOVE_0),
-            (self.mode != Mode::Lag || lag_fits, "lag", "from 1 to 64"),
+            (lag_fits, "lag", "from 1 to 64"),
             (self.staleness_max <= 10_000, "staleness_max", "at most 10000"),
             (self.threads <= MAX_THREADS, "threads", "from 0 to 64"),
         ];
@@ -224,6 +226,22 @@ mod tests {
         assert_eq!(with(limits::MAX_LAG).check(), Ok(()));
         let error = with(limits::MAX_LAG + 1).check().unwrap_err();
         assert_eq!(error.requirement, format!("from 1 to {}", limits::MAX_LAG));
+    }
+
+    #[test]
+    fn a_lag_and_passes_that_no_run_could_make_are_refused_in_every_mode() {
+        for mode in [Mode::Sync, Mode::Lag, Mode::Async] {
+            let with = |lag, n_epochs| LearnerSettings {
+                mode,
+                lag,
+                n_epochs,
+                ..LearnerSettings::default()
+            };
+            assert_eq!(with(1, MAX_EPOCHS).check(), Ok(()));
+            assert_eq!(with(0, 1).check().unwrap_err().key, "lag");
+            let error = with(1, 4_000_000_000).check().unwrap_err();
+            assert_eq!((error.key, error.requirement), ("n_epochs", "from 1 to 1000"));
+        }
     }
 
     #[test]

@@ -26,7 +26,7 @@ pub enum Error {
     Version { found: String, known: &'static str },
     #[error("its messages take more than {0} bytes of memory: record shorter pieces")]
     TooLarge(u64),
-    #[error("the policy cannot take this session: {0}")]
+    #[error("the policy cannot take this session")]
     Session(#[from] leadtime_serve::OpenRefusal),
     #[error(transparent)]
     Client(#[from] leadtime_serve::ClientError),

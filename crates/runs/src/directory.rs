@@ -13,14 +13,15 @@
 //! ```
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
-//! configuration). A changed configuration is refused with the difference; keys that cannot change a run's bits do
+//! configuration). A finished run that has lost its newest policy counts as unfinished, so that its last checkpoint makes the
+//! policy files again. A changed configuration is refused with the difference; keys that cannot change a run's bits do
 //! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!
 //! Nothing that was trained is ever replaced from nothing: a run that has had checkpoints and lost them is refused.
 //! `config.toml` is written last, so a directory without it was never begun, whatever else a killed start left in it.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -33,12 +34,13 @@ use toml::Table;
 use crate::directory_error::RunDirError;
 use crate::held_out::HELD_OUT;
 use crate::layout::{
-    CHECKPOINTS, LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare, is_begun,
-    lock, read_config, read_record, write_config,
+    CHECKPOINTS, LOCK, RunState, SUPERVISED, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare,
+    is_begun, lock, read_config, read_record, write_config,
 };
 use crate::naming::{make_new, unfinished};
 use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
 use crate::record::INITIAL_POLICY;
+use crate::regular;
 use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult, SettingChange};
 
 /// A locked run directory.
@@ -53,7 +55,7 @@ pub struct RunDir {
     /// How `learner.total_steps` grew since the run was last carried out, if it did.
     pub grown: Option<Change>,
     /// Held for as long as the directory is ours; the system lets go of it even after `kill -9`.
-    _lock: File,
+    lock: File,
 }
 
 impl RunDir {
@@ -101,7 +103,8 @@ impl RunDir {
         let name = name.ok_or_else(|| refused("say which run goes on, by --name"))?;
         let path = config.run.directory.join(name.as_str());
         if !is_begun(&path)? {
-            return Err(refused(&format!("there is no run `{name}` in {}", path.display())));
+            let runs = config.run.directory.display();
+            return Err(refused(&format!("there is no run `{name}` in {runs}")));
         }
         Self::open_named(config, name, None, build, keys)
     }
@@ -126,7 +129,11 @@ impl RunDir {
             let trained = TrainingTraces::find(&path, &record).map_err(io)?;
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
-                let state = compare(&record, &before, &config.table, name, allowed)?;
+                let state = match compare(&record, &before, &config.table, name, allowed)? {
+                    // A learner writes it again from the last checkpoint, and trains nothing.
+                    RunState::Finished if trained.has_lost_policies(&path) => RunState::Unfinished,
+                    state => state,
+                };
                 fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
                 let changes = difference(&before, &config.table);
                 let grown = changes.iter().find(|change| change.key == TOTAL_STEPS).cloned();
@@ -137,7 +144,7 @@ impl RunDir {
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }
-                return Ok((Self { name: name.clone(), record, grown, _lock: lock, path }, state));
+                return Ok((Self { name: name.clone(), record, grown, lock, path }, state));
             }
             kept = record.origin.filter(|_| fork.is_none());
         }
@@ -146,8 +153,15 @@ impl RunDir {
             return Err(RunDirError::Refused(says));
         }
         let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
-        let run = Self { name: name.clone(), record, grown: None, _lock: lock, path };
+        let run = Self { name: name.clone(), record, grown: None, lock, path };
         Ok((run, RunState::Fresh))
+    }
+
+    /// Notes that its learner ends when its supervisor does, so that the next supervisor waits for it.
+    pub fn note_supervisor(&self) {
+        let mut lock = &self.lock;
+        // Where it cannot be written nobody waits.
+        drop(lock.write_all(SUPERVISED));
     }
 
     /// Returns the directory of its checkpoints.
@@ -173,7 +187,7 @@ impl RunDir {
                 path.display()
             ))
         };
-        let bytes = fs::read(&path).map_err(|error| lost(error.to_string()))?;
+        let bytes = regular::read(&path).map_err(|error| lost(error.to_string()))?;
         let digest = weights_digest(&bytes, &config.policy);
         if digest.map_err(|error| lost(error.to_string()))? != origin.weights_sha256 {
             return Err(lost("their digest is not the one on record".to_owned()));
@@ -242,7 +256,7 @@ fn adopt_origin(path: &Path, record: &mut RunRecord, config: &Config) {
     if record.origin.is_some() {
         return;
     }
-    let Ok(bytes) = fs::read(path.join(INITIAL_POLICY)) else { return };
+    let Ok(bytes) = regular::read(&path.join(INITIAL_POLICY)) else { return };
     let digest = weights_digest(&bytes, &config.policy).unwrap_or_default();
     record.origin = Some(ForkOrigin { run: "unknown".to_owned(), weights_sha256: digest });
 }

@@ -1,12 +1,15 @@
 use super::*;
 use crate::ResultCause;
 use crate::clock;
+use crate::directory_error::with_causes;
 use crate::journal::Journal;
+use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
 
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
     let catalog = Catalog::built_in();
@@ -100,6 +103,30 @@ fn starts_in_the_same_second_choose_runs_of_their_own() {
     let (third, _) = open(runs.path(), None, &[]).unwrap();
     assert_eq!(first.name, unfinished);
     assert!(second.name != unfinished && ![&first.name, &second.name].contains(&&third.name));
+}
+
+#[test]
+fn a_supervisor_waits_for_the_learner_of_one_that_was_killed_and_for_no_other() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    let reserve =
+        || Reservation::make(&config(runs.path(), Some("r"), &[]), &Naming::Resume).map(drop);
+    let (own, _) = open(runs.path(), Some("r"), &[]).unwrap();
+    let started = Instant::now();
+    assert!(matches!(reserve(), Err(RunDirError::Locked(_))), "it was started by hand");
+    assert!(started.elapsed() < Duration::from_secs(5));
+    drop(own);
+    let (orphan, _) = open(runs.path(), Some("r"), &[]).unwrap();
+    orphan.note_supervisor();
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            std::thread::sleep(Duration::from_millis(300));
+            drop(orphan);
+        });
+        reserve().unwrap();
+    });
+    // What it has written counts for it alone.
+    assert_eq!(fs::read(runs.path().join("r/lock")).unwrap(), b"");
 }
 
 #[test]
@@ -221,6 +248,51 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     // Without a name, another run is begun instead.
     let another = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
     assert_eq!(another.1, RunState::Fresh);
+}
+
+#[test]
+fn a_damaged_file_is_named_with_what_helps() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    let path = runs.path().join("r");
+    let says = || open(runs.path(), Some("r"), &[]).unwrap_err();
+    let helps = "put a copy of the file back, or begin a new run under another --name, from the policy of this one by --fork r";
+    for (file, last, fault) in [
+        ("config.toml", '=', "r/config.toml is not a configuration: "),
+        ("run.json", ':', "r/run.json is not the record of a run: "),
+    ] {
+        let whole = fs::read_to_string(path.join(file)).unwrap();
+        fs::write(path.join(file), &whole[..=whole.rfind(last).unwrap()]).unwrap();
+        let text = says().to_string();
+        assert!(text.contains(fault) && text.ends_with(helps), "{text}");
+        assert!(!text.contains("is not a run directory"), "{text}");
+        fs::write(path.join(file), whole).unwrap();
+    }
+    fs::remove_file(path.join("metrics.jsonl")).unwrap();
+    fs::create_dir(path.join("metrics.jsonl")).unwrap();
+    let text = with_causes(&says());
+    assert!(text.ends_with("r cannot be used: metrics.jsonl is not a file"), "{text}");
+}
+
+#[test]
+fn a_finished_run_that_lost_its_policies_is_opened_again_to_write_them() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    open(runs.path(), Some("r"), &[]).unwrap().0.finish(result()).unwrap();
+    let path = runs.path().join("r");
+    assert!(is_finished(&path));
+    fs::remove_file(path.join(LAST_POLICY)).unwrap();
+    assert!(!is_finished(&path));
+    let (mut run, state) = open(runs.path(), Some("r"), &[]).unwrap();
+    assert_eq!(state, RunState::Unfinished);
+    run.finish(result()).unwrap();
+    drop(run);
+    fs::remove_file(path.join("checkpoints/000000000020.checkpoint")).unwrap();
+    let error = open(runs.path(), Some("r"), &[]).unwrap_err().to_string();
+    assert!(error.contains("put the checkpoints back"), "{error}");
+    assert!(!error.contains("--fork"), "there are no weights to fork: {error}");
+    fs::write(path.join(BEST_POLICY), "weights").unwrap();
+    assert_eq!(open(runs.path(), Some("r"), &[]).unwrap().1, RunState::Finished);
 }
 
 #[test]

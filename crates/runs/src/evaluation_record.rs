@@ -1,6 +1,5 @@
 //! `eval.json`: how a run's policy did when it was last evaluated; TensorBoard shows the same as `eval/...`.
 
-use std::fs;
 use std::io;
 use std::path::Path;
 
@@ -9,7 +8,7 @@ use leadtime_eval::measure::{Choice, Comparison};
 use leadtime_learner::write_atomically;
 use serde::{Deserialize, Serialize};
 
-use crate::{LoadedPolicy, clock, tensorboard};
+use crate::{LoadedPolicy, clock, regular, tensorboard};
 
 /// The file of the last evaluation in a run directory.
 pub const LAST_EVALUATION: &str = "eval.json";
@@ -50,7 +49,7 @@ impl EvaluationRecord {
 
     /// Reads the last evaluation of a run; `None` if there is none that can be read.
     pub(crate) fn read(directory: &Path) -> Option<Self> {
-        let text = fs::read_to_string(directory.join(LAST_EVALUATION)).ok()?;
+        let text = regular::read_to_string(&directory.join(LAST_EVALUATION)).ok()?;
         serde_json::from_str(&text).ok()
     }
 

@@ -14,6 +14,7 @@ use crate::evaluation::{
     TRAINED, UNAIDED, UNTRAINED, compare, evaluate_all, main_measure, play_all, players, telling,
 };
 use crate::policy_file::{BEST_POLICY, LAST_POLICY};
+use crate::regular;
 use crate::run_files::RunFiles;
 use crate::{EvaluationRecord, LoadedPolicy, Tasks};
 
@@ -70,7 +71,7 @@ impl Findings {
         let last = EvaluationRecord::read(&run.directory);
         let is_current = |record: &EvaluationRecord| {
             let files = [BEST_POLICY, LAST_POLICY].map(|file| run.directory.join(file));
-            let bytes = files.iter().find_map(|file| std::fs::read(file).ok());
+            let bytes = files.iter().find_map(|file| regular::read(file).ok());
             bytes.is_some_and(|bytes| sha256(&bytes) == record.policy_sha256)
         };
         let (evaluation, comparison) = match last {

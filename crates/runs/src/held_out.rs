@@ -8,8 +8,8 @@
 //! nothing that depends on time.
 
 use std::error::Error;
+use std::io;
 use std::path::Path;
-use std::{fs, io};
 
 use leadtime_config::Config;
 use leadtime_episodes::Error as PlayError;
@@ -25,6 +25,7 @@ use serde_json::{Map, Value};
 use sha2::{Digest as _, Sha256};
 
 use crate::policy_file::{self, BEST_POLICY};
+use crate::regular;
 
 /// The file of a run's evaluations on held-out episodes.
 pub const HELD_OUT: &str = "held_out.jsonl";
@@ -154,7 +155,7 @@ pub(crate) fn write(
 
 /// Reads a run's evaluations on held-out episodes; none where there are none.
 pub(crate) fn read(directory: &Path) -> Vec<Map<String, Value>> {
-    let text = fs::read_to_string(directory.join(HELD_OUT)).unwrap_or_default();
+    let text = regular::read_to_string(&directory.join(HELD_OUT)).unwrap_or_default();
     text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }
 

@@ -27,7 +27,7 @@ use leadtime_proto::Schedule;
 use leadtime_proto::limits::MAX_METRICS_BYTES;
 use serde_json::{Map, Value, json};
 
-use crate::{RunRecord, clock};
+use crate::{RunRecord, clock, regular};
 
 /// The version of the layout of the messages to observers.
 pub const SCHEMA: u32 = 1;
@@ -102,7 +102,7 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 /// If the file is there and cannot be read.
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
     let mut history = ThinHistory::new(n_points);
-    match File::open(directory.join("metrics.jsonl")) {
+    match regular::open(&directory.join("metrics.jsonl")) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         file => history.read(BufReader::new(file?), from)?,
     }
@@ -137,7 +137,7 @@ impl JournalTail {
     ///
     /// If the file is there and cannot be read.
     pub fn new_lines(&mut self) -> io::Result<Option<Vec<Map<String, Value>>>> {
-        let mut file = match File::open(&self.path) {
+        let mut file = match regular::open(&self.path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
             file => file?,
         };

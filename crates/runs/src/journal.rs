@@ -7,11 +7,13 @@
 //! A learner that takes a run up again drops the lines of updates that were lost with its predecessor, all of them if
 //! there was no checkpoint yet; they are made and written again.
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{File, OpenOptions};
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use serde_json::{Map, Value};
+
+use crate::regular;
 
 /// The open journal.
 #[derive(Debug)]
@@ -24,13 +26,16 @@ impl Journal {
     /// Opens the journal of a run directory for appending.
     pub(crate) fn open(run_directory: &Path) -> io::Result<Self> {
         let path = run_directory.join("metrics.jsonl");
+        if path.exists() {
+            regular::check(&path)?;
+        }
         let file = OpenOptions::new().create(true).append(true).open(&path)?;
         Ok(Self { path, file })
     }
 
     /// Drops every line about an update after `n_updates`, and a torn last line.
     pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
-        let bytes = fs::read(&self.path)?;
+        let bytes = regular::read(&self.path)?;
         let belongs = |line: &&[u8]| {
             let update =
                 serde_json::from_slice(line).ok().and_then(|line: Value| line["update"].as_u64());
@@ -55,7 +60,7 @@ impl Journal {
 ///
 /// If the file cannot be read.
 pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
-    let bytes = fs::read(run_directory.join("metrics.jsonl"))?;
+    let bytes = regular::read(&run_directory.join("metrics.jsonl"))?;
     let lines = bytes.split(|&byte| byte == b'\n');
     Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect())
 }
@@ -90,7 +95,7 @@ pub(crate) fn last(run_directory: &Path, key: &str) -> io::Result<u64> {
 }
 
 fn tail(run_directory: &Path) -> io::Result<Vec<u8>> {
-    let mut file = File::open(run_directory.join("metrics.jsonl"))?;
+    let mut file = regular::open(&run_directory.join("metrics.jsonl"))?;
     let length = file.metadata()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
     let mut bytes = Vec::new();

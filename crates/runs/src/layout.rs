@@ -1,8 +1,10 @@
 //! What lies in a run directory, and what it says about the run.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, STOP_AT, TOTAL_STEPS, difference};
@@ -13,8 +15,8 @@ use toml::Table;
 use crate::directory_error::{RunDirError, with_causes};
 use crate::journal::Journal;
 use crate::policy_file::{self, LAST_POLICY};
-use crate::record::{INITIAL_POLICY, RECORD};
-use crate::{ResultCause, RunRecord, RunResult, journal};
+use crate::record::{INITIAL_POLICY, RECORD, RecordError};
+use crate::{ResultCause, RunRecord, RunResult, journal, regular};
 
 /// The configuration's file in a run directory.
 pub(crate) const CONFIG: &str = "config.toml";
@@ -22,6 +24,12 @@ pub(crate) const CONFIG: &str = "config.toml";
 pub(crate) const LOCK: &str = "lock";
 /// The file that its supervisor locks.
 pub(crate) const SUPERVISOR_LOCK: &str = "supervisor.lock";
+/// What a learner that ends with its supervisor writes into its lock.
+pub(crate) const SUPERVISED: &[u8] = b"supervised\n";
+/// How long a learner may take to end after its supervisor was killed: a little longer than [`crate::supervise::GRACE`].
+const ORPHAN_PATIENCE: Duration = Duration::from_secs(6);
+/// Pause between two looks at whether it has.
+const ORPHAN_PAUSE: Duration = Duration::from_millis(50);
 /// The folder of its checkpoints.
 pub(crate) const CHECKPOINTS: &str = "checkpoints";
 /// What a start that was killed may leave in a directory that has no configuration yet.
@@ -95,6 +103,11 @@ impl TrainingTraces {
         if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0) }
     }
 
+    /// Tells whether policies of a run are gone that its last checkpoint holds, or the last of them.
+    pub(crate) fn has_lost_policies(&self, path: &Path) -> bool {
+        !path.join(LAST_POLICY).exists() && (self.has_checkpoints || !policy_file::is_in(path))
+    }
+
     /// Refuses a run whose checkpoints are gone: it would begin anew, over what it had trained.
     pub(crate) fn check(
         &self,
@@ -107,13 +120,24 @@ impl TrainingTraces {
         if self.has_checkpoints || !(self.had_checkpoints || is_due) {
             return Ok(());
         }
+        let weights = if policy_file::is_in(path) {
+            format!(", with --fork {name} to start from its weights")
+        } else {
+            String::new()
+        };
         let (n_updates, path) = (self.n_updates, path.join(CHECKPOINTS));
         Err(RunDirError::Refused(format!(
             "run `{name}` has {n_updates} updates on record and no checkpoint in {}, so it cannot be continued; put the \
-             checkpoints back, or take another --name, with --fork {name} to start from its weights",
+             checkpoints back, or take another --name{weights}",
             path.display()
         )))
     }
+}
+
+/// Returns whether the run in a directory has reached its end, and has a policy to show for it.
+pub fn is_finished(path: &Path) -> bool {
+    let has_ended = RunRecord::read(path).is_ok_and(|record| record.result.is_some());
+    has_ended && policy_file::is_in(path)
 }
 
 /// Lists the checkpoints of a run directory; none if it has no folder for them.
@@ -163,16 +187,66 @@ pub(crate) fn compare(
 
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
     let io = |source| RunDirError::Io { path: path.to_owned(), source };
-    let file = File::create(path.join(file)).map_err(io)?;
+    // What its holder has written stays until the lock is ours.
+    let mut options = OpenOptions::new();
+    let file = options.read(true).write(true).create(true).truncate(false).open(path.join(file));
+    let file = file.map_err(io)?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => file.set_len(0).map(|()| file).map_err(io),
         Err(TryLockError::WouldBlock) => Err(RunDirError::Locked(name.to_string())),
         Err(TryLockError::Error(source)) => Err(io(source)),
     }
 }
 
+/// Takes the learner's lock for a supervisor, which holds its own; waits for a learner whose supervisor was killed, because it
+/// is about to end.
+pub(crate) fn lock_for_supervisor(path: &Path, name: &RunName) -> Result<File, RunDirError> {
+    let deadline = Instant::now() + ORPHAN_PATIENCE;
+    let mut is_told = false;
+    loop {
+        match lock(path, LOCK, name) {
+            Err(RunDirError::Locked(_)) if is_orphaned(path) && Instant::now() < deadline => {
+                if !std::mem::replace(&mut is_told, true) {
+                    tracing::info!(
+                        "the supervisor of run `{name}` was killed: waiting for its learner to end"
+                    );
+                }
+                thread::sleep(ORPHAN_PAUSE);
+            }
+            locked => return locked,
+        }
+    }
+}
+
+/// Tells whether a learner that holds the lock had a supervisor, of which the caller knows that it is gone.
+fn is_orphaned(path: &Path) -> bool {
+    regular::read(&path.join(LOCK)).is_ok_and(|text| text == SUPERVISED)
+}
+
 pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
-    RunRecord::read(path).map_err(|error| no_run(path, &with_causes(&error)))
+    RunRecord::read(path).map_err(|error| match error {
+        RecordError::Newer { .. } => RunDirError::Refused(error.to_string()),
+        RecordError::Unreadable { .. } if is_run(path) => damaged(path, &with_causes(&error)),
+        RecordError::Unreadable { .. } => no_run(path, &with_causes(&error)),
+    })
+}
+
+/// Tells whether a directory is a run's, even if a file in it cannot be read.
+fn is_run(path: &Path) -> bool {
+    [RECORD, CONFIG].iter().any(|file| path.join(file).exists())
+}
+
+/// Says which file of a run is damaged, and what helps.
+fn damaged(path: &Path, what: &str) -> RunDirError {
+    let name = path.file_name().unwrap_or(path.as_os_str()).display();
+    let weights = if policy_file::is_in(path) {
+        format!(", from the policy of this one by --fork {name}")
+    } else {
+        String::new()
+    };
+    RunDirError::Refused(format!(
+        "{what}; put a copy of the file back, or begin a new run under another --name{weights}"
+    ))
 }
 
 /// Reads the configuration that a run was last carried out with.
@@ -181,11 +255,13 @@ pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
 ///
 /// [`RunDirError`] if `config.toml` is missing or unreadable.
 pub fn read_config(path: &Path) -> Result<Table, RunDirError> {
-    let path = path.join(CONFIG);
-    let io = |source| RunDirError::Io { path: path.clone(), source };
-    let text = fs::read_to_string(&path).map_err(io)?;
-    let shown = path.display();
-    text.parse().map_err(|error| no_run(&path, &format!("{shown} is not a configuration: {error}")))
+    let file = path.join(CONFIG);
+    let io = |source| RunDirError::Io { path: file.clone(), source };
+    let text = regular::read_to_string(&file).map_err(io)?;
+    let shown = file.display();
+    text.parse::<Table>().map_err(|error| {
+        damaged(path, &format!("{shown} is not a configuration: {}", error.message()))
+    })
 }
 
 pub(crate) fn write_config(path: &Path, config: &Config) -> io::Result<()> {

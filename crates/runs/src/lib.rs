@@ -46,6 +46,7 @@ pub mod prune;
 pub mod race;
 pub mod record;
 mod recorder;
+mod regular;
 pub mod report;
 mod run_files;
 pub mod scratch;

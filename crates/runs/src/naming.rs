@@ -9,7 +9,8 @@ use leadtime_proto::RunName;
 
 use crate::directory_error::RunDirError;
 use crate::layout::{
-    LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, compare, is_begun, lock, read_config,
+    LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, compare, is_begun, lock, lock_for_supervisor,
+    read_config,
 };
 use crate::{RunRecord, clock};
 
@@ -56,7 +57,7 @@ impl Reservation {
         fs::create_dir_all(&path).map_err(io)?;
         let supervisor = lock(&path, SUPERVISOR_LOCK, name)?;
         if path.join(LOCK).exists() {
-            drop(lock(&path, LOCK, name)?);
+            drop(lock_for_supervisor(&path, name)?);
         }
         Ok(Self { path, name: name.clone(), _lock: supervisor })
     }

@@ -17,6 +17,7 @@ use crate::ForkOrigin;
 use crate::digest::sha256;
 use crate::directory_error::with_causes;
 use crate::find::did_you_mean_run;
+use crate::regular;
 
 /// File of the newest policy in a run directory.
 pub const LAST_POLICY: &str = "policy.safetensors";
@@ -157,9 +158,14 @@ pub(crate) fn weights_digest(
     Ok(hex::encode(&Parameters::from_safetensors(bytes, policy)?.digest()?))
 }
 
+/// Returns whether a run's directory holds a policy.
+pub(crate) fn is_in(directory: &Path) -> bool {
+    [LAST_POLICY, BEST_POLICY].iter().any(|name| directory.join(name).is_file())
+}
+
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.
 pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
-    let bytes = match fs::read(path) {
+    let bytes = match regular::read(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
         bytes => bytes?,
     };

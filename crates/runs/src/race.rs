@@ -24,8 +24,8 @@ use crate::digest::sha256;
 use crate::directory_error::RunDirError;
 use crate::evaluation::n_threads;
 use crate::held_out::{HeldOutUse, comparable, episodes, held_out_seed};
-use crate::layout::{is_begun, read_config};
-use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_file};
+use crate::layout::{is_begun, is_finished, read_config};
+use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, Tasks, policy_file, regular};
 
 /// A racer whose success at a quarter is further behind the leader's than this is hopeless.
 pub const MARGIN: f64 = 0.1;
@@ -104,7 +104,7 @@ impl RacerRecord {
     ///
     /// If it cannot be read, or is damaged.
     pub(crate) fn read(directory: &Path) -> io::Result<Self> {
-        match fs::read_to_string(directory.join(FILE)) {
+        match regular::read_to_string(&directory.join(FILE)) {
             Ok(text) => serde_json::from_str(&text).map_err(io::Error::other),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
             Err(error) => Err(error),
@@ -453,11 +453,6 @@ fn going_on(scores: &[Option<&RaceScore>], n_keep: usize) -> Vec<usize> {
     let mut going_on: Vec<usize> = ahead.map(|(i, _)| *i).collect();
     going_on.sort_unstable();
     going_on
-}
-
-/// Returns whether a racer has come to its end.
-fn is_finished(directory: &Path) -> bool {
-    RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }
 
 #[cfg(test)]

@@ -1,7 +1,6 @@
 //! `run.json`: what a run is, what it began from, which builds worked on it, and how it ended.
 
 use std::fmt;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -10,7 +9,7 @@ use leadtime_proto::phrase::counted;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{ProgramBuild, clock};
+use crate::{ProgramBuild, clock, regular};
 
 /// The format of a run directory; a newer one is refused with a sentence.
 const RUN_FORMAT: u32 = 1;
@@ -234,7 +233,7 @@ impl RunRecord {
     pub fn read(directory: &Path) -> Result<Self, RecordError> {
         let path = directory.join(RECORD);
         let unreadable = |what, source| Err(RecordError::Unreadable { what, source });
-        let text = match fs::read_to_string(&path) {
+        let text = match regular::read_to_string(&path) {
             Ok(text) => text,
             Err(error) => return unreadable(format!("reading {}", path.display()), error),
         };
@@ -265,6 +264,8 @@ impl RunRecord {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn build(program: &str, cpu: &str) -> ProgramBuild {

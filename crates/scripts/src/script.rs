@@ -20,6 +20,8 @@ use crate::error::Error;
 const MOST: usize = 64;
 /// The longest look ahead, in steps, and the longest pause.
 const LONGEST: f64 = 1000.0;
+/// A bound nearer to zero than this is written with an exponent.
+const TINY: f64 = 1e-6;
 
 /// An ordered list of rules; the first that holds decides.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -178,17 +180,23 @@ impl fmt::Display for ScriptCondition {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { of, ahead, above, below } = self;
         if let Some(above) = above {
-            write!(f, "{above} <= ")?;
+            write!(f, "{} <= ", bound(*above))?;
         }
         f.write_str(of)?;
         if *ahead > 0.0 {
             write!(f, " in {ahead} steps")?;
         }
         match below {
-            Some(below) => write!(f, " < {below}"),
+            Some(below) => write!(f, " < {}", bound(*below)),
             None => Ok(()),
         }
     }
+}
+
+/// Writes a bound in words: one that is nearly zero without a row of zeros. The file has all its digits.
+fn bound(value: f64) -> String {
+    let is_tiny = value != 0.0 && value.abs() < TINY;
+    if is_tiny { format!("{value:.1e}") } else { value.to_string() }
 }
 
 #[cfg(test)]
@@ -207,6 +215,12 @@ when = [{ of = "y", above = 1.1 }]
 [[rules]]
 say = { topic = "descend", k = 2, l = 2 }
 "#;
+
+    #[test]
+    fn a_bound_that_is_nearly_zero_is_short_and_others_are_as_they_were() {
+        let shown = [-0.000_000_000_000_000_162, 2.5e-7, 0.0, -0.2, 0.000_3, 12.0].map(bound);
+        assert_eq!(shown, ["-1.6e-16", "2.5e-7", "0", "-0.2", "0.0003", "12"]);
+    }
 
     #[test]
     fn a_script_is_read_written_and_put_into_words() {

@@ -41,7 +41,7 @@ const CRC_AT: usize = 32;
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum BadObservation {
     #[error("the observation cannot be read: {0}")]
-    Json(#[from] JsonFault),
+    Json(JsonFault),
     #[error(
         "the observation has {found} bytes; {expected} numbers have {}{looks_like}", 4 * expected
     )]
@@ -90,6 +90,13 @@ pub enum BadObservation {
     RawLength(usize),
     #[error("an observation of encoding `{}`; known: application/json, application/octet-stream;leadtime.obs/1", quoted(.0))]
     Encoding(String),
+}
+
+// The sentence holds its cause already, which is not named once more.
+impl From<JsonFault> for BadObservation {
+    fn from(fault: JsonFault) -> Self {
+        Self::Json(fault)
+    }
 }
 
 /// What an observation says besides its numbers.

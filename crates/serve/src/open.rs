@@ -146,9 +146,9 @@ pub struct SessionPlan {
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum OpenRefusal {
     #[error("the question cannot be read: {0}")]
-    Question(#[from] JsonFault),
+    Question(JsonFault),
     #[error("the answer cannot be written: {0}")]
-    Answer(#[from] serde_json::Error),
+    Answer(serde_json::Error),
     #[error("protocol {0} is asked for; this notifier speaks protocol {LIVE_PROTOCOL}")]
     Protocol(u32),
     #[error(
@@ -163,7 +163,26 @@ pub enum OpenRefusal {
     #[error("{0} sessions are open already; --max-sessions allows no more")]
     Full(usize),
     #[error("the session could not be opened: {0}")]
-    Network(#[from] leadtime_link::Error),
+    Network(leadtime_link::Error),
+}
+
+// What each of them says holds its cause already: clients get the sentence alone. So the cause is not named once more.
+impl From<JsonFault> for OpenRefusal {
+    fn from(fault: JsonFault) -> Self {
+        Self::Question(fault)
+    }
+}
+
+impl From<serde_json::Error> for OpenRefusal {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Answer(error)
+    }
+}
+
+impl From<leadtime_link::Error> for OpenRefusal {
+    fn from(error: leadtime_link::Error) -> Self {
+        Self::Network(error)
+    }
 }
 
 impl SessionPlan {

@@ -4,10 +4,12 @@
 use std::path::{Path, PathBuf};
 
 use leadtime_config::{Config, Layer};
+use leadtime_episodes::known_players;
 use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
-use leadtime_runs::{BEST_POLICY, LAST_POLICY, RunRecord, Tasks, journal};
+use leadtime_runs::layout::is_finished;
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, Tasks, journal};
 use toml::Value;
 
 use crate::catalog::NamedStudy;
@@ -237,6 +239,24 @@ fn check_measures(part: &StudyPart, rows: &[PlannedRow]) -> Result<(), Error> {
     Ok(())
 }
 
+/// Checks that a row's task has the scripted players that its evaluations need: the row's own, and the silent one, whom every
+/// row is compared with.
+fn check_players(tasks: &Tasks, script: Option<&str>, config: &Config) -> Result<(), Error> {
+    let known = tasks.registry.build(&config.evaluation.task)?.baselines();
+    let needed = script.map(|script| (script, "`script`"));
+    let silent = (UNAIDED, "what a study compares every row with");
+    for (player, place) in needed.into_iter().chain([silent]) {
+        ensure(known.contains(&player), || {
+            let domain = &config.domain;
+            let known = known_players(known);
+            format!(
+                "there is no scripted player `{player}` ({place}) in the task `{domain}`; {known}"
+            )
+        })?;
+    }
+    Ok(())
+}
+
 /// Reads the maps that a part wants drawn, and checks that its domain has some if it wants any.
 fn plan_maps(tasks: &Tasks, part: &StudyPart, own: &Profile) -> Result<Vec<PlannedMap>, Error> {
     let check = |profile: &str, domain: &str| {
@@ -288,6 +308,7 @@ impl PlannedRow {
             conditions[place].names.push(condition.name.clone());
             conditions[place].titles.push(condition.title.clone());
         }
+        check_players(tasks, script.filter(|_| search.is_none()), &config)?;
         let hash = profile::hash(&config);
         let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
         let trained = seeds.iter().filter(|_| row.script.is_none());
@@ -394,11 +415,6 @@ fn existing(runs: &Path, suffix: &str) -> Option<String> {
     let is_run =
         |name: &String| name.ends_with(suffix) && runs.join(name).join("run.json").exists();
     names.filter(is_run).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
-}
-
-/// Returns whether the run in a directory has reached its end.
-fn is_finished(directory: &Path) -> bool {
-    RunRecord::read(directory).is_ok_and(|record| record.result.is_some())
 }
 
 #[cfg(test)]

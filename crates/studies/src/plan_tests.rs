@@ -189,6 +189,37 @@ fn a_misspelt_measure_is_refused_before_anything_is_trained() {
     }
 }
 
+/// A study of a task without scripted players.
+const CART: &str = r#"
+title = "t"
+lead = "l"
+[[parts]]
+name = "cart"
+title = "Cart"
+profile = "cartpole"
+quick_steps = 512
+columns = ["return"]
+evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
+[[parts.rows]]
+name = "silence"
+title = "Silence"
+script = "unaided"
+"#;
+
+#[test]
+fn a_player_that_the_task_does_not_have_is_refused_before_anything_is_trained() {
+    let refused = |from: &str, to: &str| {
+        assert!(STUDY.contains(from), "{from}");
+        sentence(plan(&STUDY.replacen(from, to, 1), &whole()))
+    };
+    let text = refused("script = \"heuristic\"", "script = \"wise\"");
+    assert!(text.contains("row script: there is no scripted player `wise` (`script`)"), "{text}");
+    assert!(text.contains("known: unaided, heuristic"), "{text}");
+    let text = sentence(plan(CART, &whole()));
+    assert!(text.contains("row silence: ") && text.contains("player `unaided`"), "{text}");
+    assert!(text.ends_with("in the task `cartpole`; it has none"), "{text}");
+}
+
 #[test]
 fn every_built_in_study_names_only_known_measures_and_settings() {
     for named in catalog::find("all").unwrap() {

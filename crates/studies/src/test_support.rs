@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use leadtime_runs::{ProgramBuild, ResultCause, RunRecord, RunResult, Tasks};
+use leadtime_runs::{LAST_POLICY, ProgramBuild, ResultCause, RunRecord, RunResult, Tasks};
 
 use crate::catalog::NamedStudy;
 use crate::error::Error;
@@ -62,6 +62,10 @@ pub(crate) fn record(directory: &Path, is_finished: bool) {
         books: serde_json::Value::Null,
     });
     record.write(directory).unwrap();
+    if is_finished {
+        // One that has lost its policy is brought to its end once more.
+        std::fs::write(directory.join(LAST_POLICY), "").unwrap();
+    }
 }
 
 pub(crate) fn study(name: &str, text: &str) -> NamedStudy {

@@ -46,5 +46,5 @@ fn complete(workers: &Workers, text: &str) -> Result<Option<String>, TaskError> 
     }
     world.spec = SpecSetting::Known(workers.ask(&workers.launch(&world)?)?);
     let written = serde_json::to_string(&WorldOnly { world });
-    written.map(Some).map_err(|source| TaskError::Settings { domain: DOMAIN, source })
+    written.map(Some).map_err(|fault| TaskError::Settings { domain: DOMAIN, fault })
 }

@@ -87,7 +87,7 @@ pub enum ProtocolError {
     Silent { timeout: Duration },
     /// The socket cannot be read or written.
     #[error("the connection broke: {0}")]
-    Io(#[from] io::Error),
+    Io(io::Error),
     /// A frame of an unknown kind, or of one that is not expected now.
     #[error("it sent a frame of kind {found} where {expected} was expected")]
     Kind { found: u8, expected: &'static str },
@@ -100,6 +100,13 @@ pub enum ProtocolError {
     /// It reported that it cannot go on.
     #[error("{0}")]
     GaveUp(String),
+}
+
+// The sentence holds its cause already, which is not named once more.
+impl From<io::Error> for ProtocolError {
+    fn from(error: io::Error) -> Self {
+        Self::Io(error)
+    }
 }
 
 /// Reads from a body, piece by piece.

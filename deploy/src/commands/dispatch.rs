@@ -12,7 +12,7 @@ use super::{
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{logging, output, targets};
+use crate::{logging, output, targets, threads};
 
 /// Carries out one command.
 pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
@@ -27,6 +27,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         _ => "info",
     };
     logging::start(level, &logs)?;
+    threads::check()?;
     let options = verbosity.options().iter().map(OsString::from);
     let options: Vec<OsString> = options.chain(logs.options()).collect();
     let options = options.as_slice();

@@ -48,6 +48,9 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let build = build::this_build()?;
     let (mut run_dir, state) = open(&config, args, &build)?;
     log_line::is_about_run(run_dir.name.as_str());
+    if args.supervised {
+        run_dir.note_supervisor();
+    }
     if state == RunState::Finished {
         service::ready();
         tell_finished(&run_dir);

@@ -10,12 +10,14 @@ use leadtime_runs::evaluation::{compare, evaluate_all, main_measure, n_threads};
 use leadtime_scripts::{
     Error, FoundScript, Oracle, OracleBase, ScriptPlayer, SearchProgress, SearchSettings, search,
 };
+use leadtime_table::wrapped;
 use serde::Serialize;
 
 use super::opponent::{ORACLE, named_bases};
 use super::{describe, evaluation};
 use crate::cli::ScriptSearchArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::output::WIDTH;
 use crate::{output, terminal};
 
 /// The name of the found script in tables.
@@ -162,7 +164,9 @@ fn words(found: &FoundScript) -> String {
     if found.script.rules.is_empty() {
         return "keep silent: no script that was tried is better".to_owned();
     }
-    found.script.to_string()
+    let rules = found.script.to_string();
+    let lines = rules.lines().map(|rule| wrapped(rule, WIDTH, 3));
+    lines.collect::<Vec<_>>().join("\n")
 }
 
 /// Returns where the script will be written, and refuses at once what would fail after the search.

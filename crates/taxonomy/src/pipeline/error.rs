@@ -8,12 +8,12 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum PipelineError {
     /// A file cannot be read or written.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {reason}", path.display())]
     File {
         /// The file that the system complained about.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// A plan, a template or a log that cannot be used, or a model that answers nonsense.
     #[error("{0}")]
@@ -33,7 +33,7 @@ impl PipelineError {
     /// Says which file the system complained about.
     pub(crate) fn file(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();
-        move |source| Self::File { path, source }
+        move |reason| Self::File { path, reason }
     }
 
     /// Says which key is impossible, what was given and what would do.

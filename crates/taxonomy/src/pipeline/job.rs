@@ -187,7 +187,10 @@ pub fn rate_texts(
 ) -> Result<Vec<Option<Vec<u8>>>, PipelineError> {
     let topic = plan.topic_idx(topic).ok_or_else(|| {
         let known: Vec<&str> = plan.topic.iter().map(|topic| topic.id.as_str()).collect();
-        PipelineError::plan("topic", topic, &known.join(", "))
+        let (domain, known) = (&plan.domain, known.join(", "));
+        PipelineError::Unusable(format!(
+            "--topic {topic}: the plan of `{domain}` has no such topic; its topics: {known}"
+        ))
     })?;
     let writer = PromptWriter { plan, prompts: &Prompts::default() };
     let generator = generator(plan, backend)?;
@@ -285,8 +288,8 @@ mod tests {
         assert_eq!(rated[0].as_ref().unwrap()[2], 95);
         assert!(rated[1].as_ref().unwrap().iter().all(|percent| *percent < 50));
         let error = rate("stop").unwrap_err().to_string();
-        let says =
-            "`topic` of the plan is stop; allowed: slow_down, speed_up, merge_left, merge_right";
+        let says = "--topic stop: the plan of `highway` has no such topic; its topics: slow_down, speed_up, \
+                    merge_left, merge_right";
         assert_eq!(error, says);
     }
 

@@ -1,0 +1,57 @@
+//! Reading what is a file.
+//!
+//! Anything may lie where a run's files are looked for. A pipe would keep its reader waiting for ever.
+
+use std::fs::{self, File};
+use std::io::{self, Read as _};
+use std::path::Path;
+
+/// Opens a file; an error says that it is none.
+pub(crate) fn open(path: &Path) -> io::Result<File> {
+    check(path)?;
+    File::open(path)
+}
+
+/// Reads a whole file.
+pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open(path)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Reads a whole file of text.
+pub(crate) fn read_to_string(path: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    open(path)?.read_to_string(&mut text)?;
+    Ok(text)
+}
+
+/// Refuses something else than a file, and what is not there.
+pub(crate) fn check(path: &Path) -> io::Result<()> {
+    if fs::metadata(path)?.is_file() {
+        return Ok(());
+    }
+    let name = path.file_name().unwrap_or(path.as_os_str()).display();
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("{name} is not a file")))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::process::Command;
+
+    use super::*;
+
+    #[test]
+    fn a_pipe_and_a_directory_are_no_files_and_nobody_waits_for_them() {
+        let place = tempfile::tempdir().unwrap();
+        let pipe = place.path().join("run.json");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        assert_eq!(read(&pipe).unwrap_err().to_string(), "run.json is not a file");
+        let error = read_to_string(place.path()).unwrap_err();
+        assert!(error.to_string().ends_with(" is not a file"), "{error}");
+        let missing = open(&place.path().join("none")).unwrap_err();
+        assert_eq!(missing.kind(), io::ErrorKind::NotFound);
+        fs::write(place.path().join("text"), "words").unwrap();
+        assert_eq!(read_to_string(&place.path().join("text")).unwrap(), "words");
+    }
+}
