@@ -39,7 +39,9 @@ impl Original {
     /// [`ReplayError`] if the text is of no known format, or holds nothing to compare.
     pub fn replay(self, text: &str) -> Result<Replay, ReplayError> {
         self.replay_as_asked(text).map_err(|error| match (error, Self::of(text)) {
-            (ReplayError::Format { .. }, Some(found)) if found != self => {
+            (ReplayError::Format { .. } | ReplayError::Empty { .. }, Some(found))
+                if found != self =>
+            {
                 ReplayError::OtherWorld { asked: self.name(), found: found.name() }
             }
             (error, _) => error,
@@ -103,6 +105,7 @@ mod tests {
             (Original::Highway, lander, "lander"),
             (Original::Steakhouse, lander, "lander"),
             (Original::Lander, highway, "highway"),
+            (Original::Steakhouse, highway, "highway"),
             (Original::Highway, kitchen, "steakhouse"),
         ] {
             let says = says(asked, text);
