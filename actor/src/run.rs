@@ -377,7 +377,7 @@ impl Process {
     }
 
     fn report_metrics(&mut self) {
-        self.sink.on_tick(self.actor.standing(self.metrics.n_steps));
+        self.sink.on_tick(self.actor.progress(self.metrics.n_steps));
         let report = self.metrics.report(&self.actor);
         if let Err(error) = self.link.publish_metrics(report.as_bytes()) {
             debug!(%error, "metrics not published");

@@ -363,7 +363,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     }
 
     /// Returns how the actor stands, with what its process has counted.
-    pub(crate) fn standing(&self, n_steps: u64) -> ActorProgress {
+    pub(crate) fn progress(&self, n_steps: u64) -> ActorProgress {
         ActorProgress {
             n_steps,
             n_unacknowledged: self.outbox.sent.0 - self.outbox.acknowledged.0,

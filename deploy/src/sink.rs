@@ -4,7 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use leadtime_learner::{
-    HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, Standing, UpdateProgress,
+    HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, RunHealth, UpdateProgress,
 };
 use leadtime_link::Archive;
 use leadtime_proto::phrase::{counted, duration};
@@ -134,10 +134,10 @@ impl ProgressSink for RunSink {
         log(event);
     }
 
-    fn on_tick(&mut self, standing: &Standing) {
-        self.service.tick(standing.has_enough_actors);
+    fn on_tick(&mut self, health: &RunHealth) {
+        self.service.tick(health.has_enough_actors);
         if let Some(status) = &self.status {
-            status.tick(standing);
+            status.tick(health);
         }
         if let Some(trace) = &mut self.trace {
             trace.flush();

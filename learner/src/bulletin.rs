@@ -15,7 +15,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 use tracing::debug;
 
-use crate::report::ActorStanding;
+use crate::report::RosterEntry;
 
 /// The shortest time between two updates that observers receive.
 const PAUSE: Duration = Duration::from_millis(200);
@@ -28,7 +28,7 @@ const N_SLOWEST: usize = 64;
 
 /// The state of a run, apart from its actors.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct RunStanding {
+pub(crate) struct RosterHead {
     pub(crate) version: u64,
     pub(crate) n_updates_total: u64,
     pub(crate) n_queued: u64,
@@ -40,13 +40,13 @@ pub(crate) struct RunStanding {
 
 /// Writes who is here, as observers read it.
 pub(crate) fn roster(
-    run: RunStanding,
-    actors: Vec<ActorStanding>,
+    run: RosterHead,
+    actors: Vec<RosterEntry>,
     queued: &BTreeMap<ActorId, usize>,
 ) -> Value {
     let n_actors = actors.len();
     let (listed, others) = listed(actors);
-    let with_queue = |actor: &ActorStanding| {
+    let with_queue = |actor: &RosterEntry| {
         let mut listed = json!(actor);
         listed["queued_bytes"] = queued.get(&actor.id).copied().unwrap_or(0).into();
         listed
@@ -69,7 +69,7 @@ pub(crate) fn roster(
 }
 
 /// Splits actors into those that are listed and those that are only summed.
-fn listed(mut actors: Vec<ActorStanding>) -> (Vec<ActorStanding>, Vec<ActorStanding>) {
+fn listed(mut actors: Vec<RosterEntry>) -> (Vec<RosterEntry>, Vec<RosterEntry>) {
     if actors.len() <= MAX_LISTED {
         return (actors, Vec::new());
     }
@@ -135,8 +135,8 @@ mod tests {
 
     use super::*;
 
-    fn standing(number: u64) -> ActorStanding {
-        ActorStanding {
+    fn entry(number: u64) -> RosterEntry {
+        RosterEntry {
             id: ActorId::new(format!("a{number}")).unwrap(),
             incarnation: format!("{number:016x}"),
             envs: 2,
@@ -151,7 +151,7 @@ mod tests {
     }
 
     fn told(n_actors: u64) -> Value {
-        let run = RunStanding {
+        let run = RosterHead {
             version: 7,
             n_updates_total: 9,
             n_queued: 3,
@@ -159,7 +159,7 @@ mod tests {
             checkpoint: 5,
         };
         let queued = BTreeMap::from([(ActorId::new("a1").unwrap(), 10)]);
-        roster(run, (0..n_actors).map(standing).collect(), &queued)
+        roster(run, (0..n_actors).map(entry).collect(), &queued)
     }
 
     #[test]

@@ -29,7 +29,7 @@ use leadtime_proto::{
 use crate::assign::{Assigner, Reassignment};
 use crate::books::{Books, SenderKey};
 use crate::builds::{Build, Builds};
-use crate::report::{ActorStanding, RunEvent};
+use crate::report::{RosterEntry, RunEvent};
 use crate::rollout_queue::{Recovery, RolloutQueue};
 use crate::roster::{MembershipNumber, Roster};
 use crate::stragglers::{Lateness, Stragglers};
@@ -589,11 +589,11 @@ impl Coordinator {
     }
 
     /// Returns the state of every member, in the order of their names.
-    pub fn standings(&self) -> Vec<ActorStanding> {
-        let standings = self.roster.standings().map(|(key, sender)| {
+    pub fn roster_entries(&self) -> Vec<RosterEntry> {
+        let entries = self.roster.member_senders().map(|(key, sender)| {
             let (newest, n_quiet_ticks) = sender.newest();
             let (envs, epoch) = self.assigner.holding(&key.0);
-            ActorStanding {
+            RosterEntry {
                 envs,
                 epoch: epoch.0,
                 iteration: newest.map(|(iteration, _)| iteration.0),
@@ -606,7 +606,7 @@ impl Coordinator {
                 id: key.0,
             }
         });
-        standings.collect()
+        entries.collect()
     }
 
     /// Counts the actors that are members at present.

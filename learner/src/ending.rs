@@ -9,7 +9,7 @@ use crate::books::Books;
 use crate::builds::Builds;
 use crate::coordinator::CoordinatorStart;
 use crate::evaluation_thread::Evaluations;
-use crate::report::{ProgressSink, RatedPolicy, RunEnd, RunReport, Standing};
+use crate::report::{ProgressSink, RatedPolicy, RunEnd, RunHealth, RunReport};
 use crate::resume::{ResumePoint, TrainingRecord};
 use crate::{Error, LearnerConfig};
 
@@ -27,8 +27,8 @@ pub(crate) async fn already_trained(
     let mut last = RatedPolicy { version, score, held_out: None, weights };
     let mut end = RunEnd::AlreadyFinished;
     if let (Some(evaluations), Some(_)) = (&mut evaluations, point.record.held_out.next()) {
-        let standing = Standing::default();
-        if !evaluations.finish(&mut point.record.held_out, sink, stop, &standing).await {
+        let health = RunHealth::default();
+        if !evaluations.finish(&mut point.record.held_out, sink, stop, &health).await {
             end = RunEnd::Stopped;
         }
     }

@@ -17,7 +17,7 @@ use crate::coordinator::TICK;
 use crate::held_out::{HeldOutEpisode, HeldOutEvaluation, PolicyEvaluator};
 use crate::held_out_record::{EvaluationPlan, HeldOutRecord, WaitingPolicy};
 use crate::phases;
-use crate::report::{ProgressSink, RunEvent, Standing};
+use crate::report::{ProgressSink, RunEvent, RunHealth};
 
 /// One policy and one result may be under way.
 const DEPTH: usize = 1;
@@ -130,7 +130,7 @@ impl Evaluations {
         record: &mut HeldOutRecord,
         sink: &mut dyn ProgressSink,
         stop: &CancellationToken,
-        standing: &Standing,
+        health: &RunHealth,
     ) -> bool {
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -141,7 +141,7 @@ impl Evaluations {
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return false,
-                _ = ticks.tick() => sink.on_tick(standing),
+                _ = ticks.tick() => sink.on_tick(health),
                 evaluated = self.thread.evaluated() => take_in(evaluated, record, sink),
             }
         }

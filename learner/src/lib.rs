@@ -50,7 +50,7 @@ pub use error::Error;
 pub use files::{replaced_name, write_atomically};
 pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
-    ActorStanding, PhaseTimes, ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing,
+    PhaseTimes, ProgressSink, RatedPolicy, RosterEntry, RunEnd, RunEvent, RunHealth, RunReport,
     UpdateProgress,
 };
 pub use roster::MembershipNumber;

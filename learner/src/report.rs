@@ -29,9 +29,9 @@ pub struct PhaseTimes {
     pub weights: Duration,
 }
 
-/// How a run stands at a moment, whether it makes updates or not.
+/// The health of a run at one moment, whether it makes updates or not.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Standing {
+pub struct RunHealth {
     /// Actors that are connected and take part.
     pub n_actors: usize,
     /// Whether they are enough for the run to go on.
@@ -75,9 +75,9 @@ pub struct UpdateProgress {
     pub books: Books,
 }
 
-/// How one actor stands, as the learner sees it.
+/// The state of one actor, as the learner sees it.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct ActorStanding {
+pub struct RosterEntry {
     /// The actor's name, unique in the run.
     pub id: ActorId,
     /// Its start, in hexadecimal as in keys.
@@ -324,7 +324,7 @@ pub trait ProgressSink: Send {
     fn on_span(&mut self, _span: &TraceSpan<'_>) {}
 
     /// Takes in how the run stands; called about twice a second, for as long as the run's loop goes round.
-    fn on_tick(&mut self, _standing: &Standing) {}
+    fn on_tick(&mut self, _health: &RunHealth) {}
 }
 
 /// How a run ended.

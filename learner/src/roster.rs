@@ -208,7 +208,7 @@ impl Roster {
     }
 
     /// Returns the members with what is known of their present starts.
-    pub(crate) fn standings(&self) -> impl Iterator<Item = (SenderKey, &SenderState)> {
+    pub(crate) fn member_senders(&self) -> impl Iterator<Item = (SenderKey, &SenderState)> {
         self.members.iter().filter_map(|(actor, &incarnation)| {
             let key = (actor.clone(), incarnation);
             let state = self.senders.get(&key)?;

@@ -31,7 +31,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 use tracing::debug;
 
-use crate::bulletin::{Bulletin, RunStanding, roster};
+use crate::bulletin::{Bulletin, RosterHead, roster};
 use crate::checkpoint::{CheckpointError, CheckpointStore};
 use crate::control_outbox::{ControlFailure, ControlOutbox};
 use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
@@ -40,7 +40,7 @@ use crate::evaluation_thread::{Evaluated, Evaluations, take_in};
 use crate::held_out::HeldOutEvaluation;
 use crate::phases::{PhaseClock, TrainingWait};
 use crate::report::{
-    ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, Standing, UpdateProgress,
+    ProgressSink, RatedPolicy, RunEnd, RunEvent, RunHealth, RunReport, UpdateProgress,
 };
 use crate::resume::{self, Checkpoint, ResumePoint, TrainingRecord};
 use crate::saving::Saving;
@@ -347,13 +347,13 @@ impl RunLoop {
         if self.is_even_tick {
             self.tell_roster();
         }
-        self.sink.on_tick(&self.standing());
+        self.sink.on_tick(&self.health());
         self.mind_the_disk()
     }
 
     /// Tells observers who is here.
     fn tell_roster(&self) {
-        let run = RunStanding {
+        let run = RosterHead {
             version: self.version.0,
             n_updates_total: self.config.settings.n_updates(),
             n_queued: self.coordinator.n_pending(),
@@ -361,7 +361,7 @@ impl RunLoop {
             checkpoint: self.last_checkpoint.1,
         };
         let queued = self.link.queued_bytes();
-        self.bulletin.tell(&roster(run, self.coordinator.standings(), &queued));
+        self.bulletin.tell(&roster(run, self.coordinator.roster_entries(), &queued));
     }
 
     /// Reports that actors are missing, at once and then every [`WAITING_EVERY`].
@@ -538,9 +538,9 @@ impl RunLoop {
         Ok(())
     }
 
-    fn standing(&self) -> Standing {
+    fn health(&self) -> RunHealth {
         let now = Instant::now();
-        Standing {
+        RunHealth {
             n_actors: self.coordinator.n_actors(),
             has_enough_actors: self.coordinator.n_actors_needed().is_none(),
             n_envs_waiting: self.coordinator.n_envs_waiting(),
@@ -600,7 +600,7 @@ impl RunLoop {
             if asked || Instant::now() >= deadline {
                 return written;
             }
-            self.sink.on_tick(&self.standing());
+            self.sink.on_tick(&self.health());
             tokio::select! {
                 () = tokio::time::sleep(pause) => {}
                 () = stop.cancelled(), if !was_stopped => {}
@@ -624,12 +624,12 @@ impl RunLoop {
         self.farewell(events).await?;
         self.coordinator.close();
         self.save_end(stop).await?;
-        let standing = self.standing();
+        let health = self.health();
         if let (RunEnd::Finished, Some(evaluations), Some(_)) =
             (end, &mut self.evaluations, self.record.held_out.next())
         {
             let (record, sink) = (&mut self.record.held_out, self.sink.as_mut());
-            if !evaluations.finish(record, sink, stop, &standing).await {
+            if !evaluations.finish(record, sink, stop, &health).await {
                 end = RunEnd::Stopped;
             }
             self.save_end(stop).await?;

@@ -328,10 +328,10 @@ fn who_is_about_to_leave_finishes_and_sends_its_rollout_and_begins_none() {
     assert!(bench.actor.is_busy(), "it is being sent");
     assert!(bench.give(ActorInput::Published).is_empty());
     assert!(!bench.actor.is_busy());
-    let standing = bench.actor.standing(7);
-    assert_eq!((standing.n_steps, standing.n_unacknowledged), (7, 1));
+    let progress = bench.actor.progress(7);
+    assert_eq!((progress.n_steps, progress.n_unacknowledged), (7, 1));
     bench.credit(1, 9);
-    assert_eq!(bench.actor.standing(7).n_unacknowledged, 0);
+    assert_eq!(bench.actor.progress(7).n_unacknowledged, 0);
 }
 
 #[test]

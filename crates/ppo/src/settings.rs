@@ -232,9 +232,9 @@ mod tests {
     fn a_lag_and_passes_that_no_run_could_make_are_refused_in_every_mode() {
         for mode in [Mode::Sync, Mode::Lag, Mode::Async] {
             let with = |lag, n_epochs| LearnerSettings {
+                n_epochs,
                 mode,
                 lag,
-                n_epochs,
                 ..LearnerSettings::default()
             };
             assert_eq!(with(1, MAX_EPOCHS).check(), Ok(()));

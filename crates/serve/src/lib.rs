@@ -50,7 +50,7 @@ pub use live_session::{LiveSession, LiveSnapshot, ObservationBytes, SayTo};
 pub use open::{
     OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock, WordClock,
 };
-pub use robot::{ObservationSource, RobotForm, RobotWriter, StandingSession};
+pub use robot::{ObservationSource, RobotForm, RobotSession, RobotWriter};
 pub use say::{HeardSay, SayEvent};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};

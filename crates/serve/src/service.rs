@@ -17,7 +17,7 @@ use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
 use crate::open::{OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan};
-use crate::robot::{ObservationSource, RobotWriter, StandingSession};
+use crate::robot::{ObservationSource, RobotSession, RobotWriter};
 use crate::status::LiveState;
 use crate::taken::TakenLog;
 use crate::working_policy::{LiveDecider, PolicyOrigin, WorkingPolicy};
@@ -301,10 +301,10 @@ impl LiveService {
     ///
     /// [`OpenRefusal`] if the question cannot be met or the session's keys cannot be used; a client would get the same
     /// sentence.
-    pub fn stand(&mut self, standing: StandingSession) -> Result<(), OpenRefusal> {
-        let plan = SessionPlan::read(&standing.question, &self.policy, self.settings.seed)?;
-        let plan = SessionPlan { source: ObservationSource::Robot(standing.form), ..plan };
-        let StandingSession { client, question, keys, writer, .. } = standing;
+    pub fn stand(&mut self, robot_session: RobotSession) -> Result<(), OpenRefusal> {
+        let plan = SessionPlan::read(&robot_session.question, &self.policy, self.settings.seed)?;
+        let plan = SessionPlan { source: ObservationSource::Robot(robot_session.form), ..plan };
+        let RobotSession { client, question, keys, writer, .. } = robot_session;
         for note in &plan.notes {
             info!(%client, note, "what the robot would be told");
         }

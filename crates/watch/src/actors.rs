@@ -29,7 +29,7 @@ struct ActorSums {
 struct ActorRow {
     incarnation: String,
     /// What the learner says of it.
-    standing: Value,
+    entry: Value,
     /// What it says of itself.
     told: Value,
     reports: VecDeque<ActorSums>,
@@ -92,7 +92,7 @@ impl ActorTable {
             return None;
         }
         row.gone_at = Some(now);
-        Some(row.standing["envs"].as_u64().unwrap_or(0))
+        Some(row.entry["envs"].as_u64().unwrap_or(0))
     }
 
     /// Takes in an actor's own sums.
@@ -114,14 +114,14 @@ impl ActorTable {
 
     /// Takes in what the learner says of everybody.
     pub(crate) fn roster(&mut self, roster: &Value, now: f64) {
-        for standing in roster["actors"].as_array().into_iter().flatten() {
-            let id = standing["id"].as_str().unwrap_or_default();
-            let incarnation = standing["incarnation"].as_str().unwrap_or_default();
+        for entry in roster["actors"].as_array().into_iter().flatten() {
+            let id = entry["id"].as_str().unwrap_or_default();
+            let incarnation = entry["incarnation"].as_str().unwrap_or_default();
             if ActorId::new(id.to_owned()).is_err() || !self.heard(id, incarnation, now) {
                 continue;
             }
             if let Some(row) = self.rows.get_mut(id) {
-                row.standing = standing.clone();
+                row.entry = entry.clone();
             }
         }
         self.others = roster["others"].clone();
@@ -159,11 +159,11 @@ impl ActorTable {
 }
 
 fn row_json(id: &str, row: &ActorRow, newest: u64, now: f64) -> Value {
-    let standing = &row.standing;
+    let entry = &row.entry;
     let count = |of: &Value, name: &str| of[name].as_u64();
-    let acknowledged = count(standing, "acknowledged");
+    let acknowledged = count(entry, "acknowledged");
     let behind = |limit: Option<u64>| Some(limit?.saturating_sub(acknowledged?));
-    let refused = standing["refused"].as_object().into_iter().flatten();
+    let refused = entry["refused"].as_object().into_iter().flatten();
     let refused = refused.filter_map(|it| it.1.as_u64()).fold(0, u64::saturating_add);
     let silent = (now - row.seen_at).max(0.0);
     let rates = row.rates();
@@ -174,23 +174,23 @@ fn row_json(id: &str, row: &ActorRow, newest: u64, now: f64) -> Value {
             .map(|(name, share)| (*name, round(share)))
             .collect::<BTreeMap<_, _>>()
     });
-    let version = standing["iteration"].as_u64().zip(standing["staleness"].as_u64());
+    let version = entry["iteration"].as_u64().zip(entry["staleness"].as_u64());
     json!({
         "id": id,
         "incarnation": row.incarnation,
-        "envs": count(standing, "envs").unwrap_or(0),
+        "envs": count(entry, "envs").unwrap_or(0),
         "steps_per_second": rates.map(|(steps, _)| steps.round()),
-        "iteration": standing["iteration"],
-        "staleness": standing["staleness"],
+        "iteration": entry["iteration"],
+        "staleness": entry["staleness"],
         "lag": version.map(|(iteration, _)| newest.saturating_sub(iteration)),
         "credit": {
             "used": behind(count(&row.told, "n_rollouts_published")),
-            "window": behind(count(standing, "limit")),
+            "window": behind(count(entry, "limit")),
         },
         "refused": refused,
-        "refusals": standing["refused"],
-        "queued_bytes": standing["queued_bytes"],
-        "last_rollout_s": standing["silent_s"],
+        "refusals": entry["refused"],
+        "queued_bytes": entry["queued_bytes"],
+        "last_rollout_s": entry["silent_s"],
         "silent_s": round(silent),
         "is_silent": row.gone_at.is_none() && silent > SILENT,
         "gone_s": row.gone_at.map(|at| round(now - at)),

@@ -38,7 +38,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
         n_workers: args.workers as usize,
     });
     let status = bind_status(args.status.as_deref()).await?;
-    let (standing, told) = watch::channel(None);
+    let (progress, told) = watch::channel(None);
     let own = settings.connect.identity.as_ref().map(|identity| identity.certificate().to_owned());
     let written = || settings.connect.endpoints.iter().find_map(Endpoint::certificate);
     let certificate = own.or_else(written);
@@ -49,7 +49,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     // A supervisor has made the file.
     let made = if args.supervised { None } else { TraceFile::create(&args.trace)? };
     let trace = ProcessTrace::join(&args.trace, "actor", actor);
-    let sink = Box::new(ActorOutlet { standing, trace });
+    let sink = Box::new(ActorOutlet { progress, trace });
     let report =
         leadtime_actor::run_watched(settings, tasks.registry.clone(), shutdown, sink).await;
     if let Some(trace) = made {
@@ -86,13 +86,13 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
 /// Where what an actor reports goes.
 struct ActorOutlet {
     /// To its status page.
-    standing: watch::Sender<Option<ActorProgress>>,
+    progress: watch::Sender<Option<ActorProgress>>,
     trace: Option<ProcessTrace>,
 }
 
 impl ActorSink for ActorOutlet {
-    fn on_tick(&mut self, standing: ActorProgress) {
-        self.standing.send_replace(Some(standing));
+    fn on_tick(&mut self, progress: ActorProgress) {
+        self.progress.send_replace(Some(progress));
         if let Some(trace) = &mut self.trace {
             trace.flush();
         }

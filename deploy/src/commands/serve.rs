@@ -21,7 +21,7 @@ use leadtime_voice::loudspeaker::APLAY;
 use leadtime_voice::{Loudspeaker, VoiceChoice};
 use serde_json::{Value, json};
 
-use super::standing::standing;
+use super::robot_session::robot_session;
 use super::taxonomy;
 use crate::cli::ServeArgs;
 use crate::credentials::{listen_settings, listening_failure};
@@ -72,13 +72,13 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
         loudspeaker,
         unix: i64::try_from(clock::now().as_nanosecond()).unwrap_or(i64::MAX),
     };
-    let standing = standing(&args.robot, &domain, service, own, &link.zid());
-    let standing = standing.context("--ros2-topic").blame(ExitCode::WrongInput)?;
+    let robot_session = robot_session(&args.robot, &domain, service, own, &link.zid());
+    let robot_session = robot_session.context("--ros2-topic").blame(ExitCode::WrongInput)?;
     let notifier = LiveService::new(policy, service_settings, link, events, own);
     let mut notifier = notifier.blame(ExitCode::Failed)?;
-    if let Some((standing, robot)) = standing {
-        let client = standing.client.clone();
-        notifier.stand(standing).map_err(|refusal| match refusal {
+    if let Some((robot_session, robot)) = robot_session {
+        let client = robot_session.client.clone();
+        notifier.stand(robot_session).map_err(|refusal| match refusal {
             OpenRefusal::Network(error) => Failure::of(ExitCode::WrongInput, error),
             refusal => Failure::of(ExitCode::WrongInput, refusal),
         })?;

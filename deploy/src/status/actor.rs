@@ -26,7 +26,7 @@ struct ActorPage {
     certificate: Option<PathBuf>,
     numbers: Arc<PageNumbers>,
     liveness: Arc<Liveness>,
-    standing: watch::Receiver<Option<ActorProgress>>,
+    progress: watch::Receiver<Option<ActorProgress>>,
 }
 
 impl ActorStatus {
@@ -35,7 +35,7 @@ impl ActorStatus {
         server: StatusServer,
         actor: &str,
         certificate: Option<PathBuf>,
-        standing: watch::Receiver<Option<ActorProgress>>,
+        progress: watch::Receiver<Option<ActorProgress>>,
     ) -> Self {
         let liveness = Liveness::new();
         let shared = Arc::new(ActorPage {
@@ -43,11 +43,11 @@ impl ActorStatus {
             certificate,
             numbers: PageNumbers::new(MetricPage::Actor),
             liveness: Arc::clone(&liveness),
-            standing: standing.clone(),
+            progress: progress.clone(),
         });
         tokio::spawn(async move {
-            let mut standing = standing;
-            while standing.changed().await.is_ok() {
+            let mut progress = progress;
+            while progress.changed().await.is_ok() {
                 liveness.tick();
             }
             // The loop is over.
@@ -61,11 +61,11 @@ impl StatusSource for ActorPage {
     fn metrics(&self) -> Result<String, std::fmt::Error> {
         let Self { numbers, .. } = self;
         let set = |metric, value: Option<f64>| numbers.set(metric, value.unwrap_or(f64::NAN));
-        if let Some(standing) = &*self.standing.borrow() {
-            numbers.set(Metric::ActorSteps, standing.n_steps as f64);
-            numbers.set(Metric::Unacknowledged, standing.n_unacknowledged as f64);
-            numbers.set(Metric::Reconnects, standing.n_reconnects as f64);
-            set(Metric::WeightsVersion, standing.version.map(|version| version.0 as f64));
+        if let Some(progress) = &*self.progress.borrow() {
+            numbers.set(Metric::ActorSteps, progress.n_steps as f64);
+            numbers.set(Metric::Unacknowledged, progress.n_unacknowledged as f64);
+            numbers.set(Metric::Reconnects, progress.n_reconnects as f64);
+            set(Metric::WeightsVersion, progress.version.map(|version| version.0 as f64));
         }
         set(Metric::Resident, machine::resident_bytes());
         let certificate = self.certificate.as_deref().and_then(machine::certificate_end);
@@ -75,15 +75,15 @@ impl StatusSource for ActorPage {
 
     fn live(&self) -> Result<(), String> {
         // Before the first welcome there is no loop: the search for a learner has a limit of its own.
-        if self.standing.borrow().is_none() { Ok(()) } else { self.liveness.check() }
+        if self.progress.borrow().is_none() { Ok(()) } else { self.liveness.check() }
     }
 
     fn ready(&self) -> Result<(), String> {
         self.live()?;
-        match &*self.standing.borrow() {
+        match &*self.progress.borrow() {
             None => Err("no learner has been found yet".to_owned()),
-            Some(standing) if standing.is_searching => Err("looking for the learner".to_owned()),
-            Some(standing) if !standing.is_assigned => {
+            Some(progress) if progress.is_searching => Err("looking for the learner".to_owned()),
+            Some(progress) if !progress.is_assigned => {
                 Err("the learner has assigned no environments".to_owned())
             }
             Some(_) => Ok(()),

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use leadtime_learner::{RunEvent, Standing, UpdateProgress};
+use leadtime_learner::{RunEvent, RunHealth, UpdateProgress};
 use leadtime_proto::RefusalCause;
 use tokio_util::sync::DropGuard;
 
@@ -126,16 +126,16 @@ impl LearnerStatus {
     }
 
     /// Takes in how the run stands.
-    pub(crate) fn tick(&self, standing: &Standing) {
+    pub(crate) fn tick(&self, health: &RunHealth) {
         let LearnerPage { numbers, liveness, .. } = &*self.shared;
         liveness.tick();
-        numbers.set(Metric::Actors, standing.n_actors as f64);
-        numbers.set(Metric::EnvironmentsWaiting, standing.n_envs_waiting as f64);
-        numbers.set(Metric::QueuedRollouts, standing.n_queued as f64);
-        numbers.set(Metric::QueuedBytes, standing.queued_bytes as f64);
-        self.shared.n_actors.store(standing.n_actors as u64, Ordering::Relaxed);
-        self.shared.has_enough_actors.store(standing.has_enough_actors, Ordering::Relaxed);
-        self.shared.is_paused.store(standing.is_paused, Ordering::Relaxed);
+        numbers.set(Metric::Actors, health.n_actors as f64);
+        numbers.set(Metric::EnvironmentsWaiting, health.n_envs_waiting as f64);
+        numbers.set(Metric::QueuedRollouts, health.n_queued as f64);
+        numbers.set(Metric::QueuedBytes, health.queued_bytes as f64);
+        self.shared.n_actors.store(health.n_actors as u64, Ordering::Relaxed);
+        self.shared.has_enough_actors.store(health.has_enough_actors, Ordering::Relaxed);
+        self.shared.is_paused.store(health.is_paused, Ordering::Relaxed);
     }
 
     /// Takes in what happened.

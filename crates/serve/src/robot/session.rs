@@ -8,7 +8,7 @@ use crate::robot::writer::RobotWriter;
 
 /// What is known of a robot that does not ask for its session. The session stays as long as the notifier.
 #[derive(Debug)]
-pub struct StandingSession {
+pub struct RobotSession {
     /// The name under which its status is published, and what it hears may be reported.
     pub client: ClientName,
     /// What it would ask, JSON: the same question as any client's.

@@ -4,7 +4,7 @@ use leadtime_link::live::RobotKeys;
 use leadtime_proto::{Incarnation, ServiceName};
 use leadtime_runs::clock;
 use leadtime_serve::robot::ros2::{BadTopic, Distro, Ros2Names};
-use leadtime_serve::{RobotForm, RobotWriter, SayForm, StandingSession};
+use leadtime_serve::{RobotForm, RobotSession, RobotWriter, SayForm};
 use serde_json::json;
 
 use crate::cli::{DistroName, ObsForm, RobotArgs, SayKeyForm};
@@ -15,13 +15,13 @@ use crate::cli::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 /// # Errors
 ///
 /// [`BadTopic`].
-pub(super) fn standing(
+pub(super) fn robot_session(
     args: &RobotArgs,
     domain: &str,
     service: &ServiceName,
     own: Incarnation,
     zid: &str,
-) -> Result<Option<(StandingSession, String)>, BadTopic> {
+) -> Result<Option<(RobotSession, String)>, BadTopic> {
     let client = args.client.clone();
     if let Some(ros_domain) = args.ros2 {
         let distro = match args.ros2_distro {
@@ -40,8 +40,8 @@ pub(super) fn standing(
         let unix = i64::try_from(clock::now().as_nanosecond()).unwrap_or(i64::MAX);
         let writer = RobotWriter::ros2(own.0, unix);
         let question = question(args, domain, SayForm::Json);
-        let standing = StandingSession { client, question, keys, form: RobotForm::Ros2, writer };
-        return Ok(Some((standing, names.to_string())));
+        let robot_session = RobotSession { client, question, keys, form: RobotForm::Ros2, writer };
+        return Ok(Some((robot_session, names.to_string())));
     }
     let Some(observations) = args.obs_key.clone() else { return Ok(None) };
     let form = match args.obs_form {
@@ -59,7 +59,7 @@ pub(super) fn standing(
     let (say, status, tokens) = (args.say_key.clone(), None, Vec::new());
     let keys = RobotKeys { observations, say, status, tokens, encoding };
     let question = question(args, domain, say_form);
-    Ok(Some((StandingSession { client, question, keys, form, writer }, place)))
+    Ok(Some((RobotSession { client, question, keys, form, writer }, place)))
 }
 
 /// Asks what a client would ask.
