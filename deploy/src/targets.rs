@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use leadtime_proto::text::quoted;
-use leadtime_runs::run_that_keeps;
+use leadtime_runs::{REPORT_PAGE, run_that_keeps};
 
 use crate::cli::{CertsCommand, Cli, Command, TaxonomyCommand};
 use crate::exit::Failure;
@@ -47,7 +47,11 @@ fn of_command(command: &Command) -> Option<Target<'_>> {
         Command::Eval(args) => target("--episodes-to", args.episodes_to.as_ref()),
         Command::Probe(args) => target("--markdown", args.markdown.as_ref()),
         Command::Play(args) => target("--output", Some(&args.output)),
-        Command::Report(args) => target("--out", args.out.as_ref()),
+        // The page itself can be made again.
+        Command::Report(args) => {
+            let out = args.out.as_ref().filter(|out| !out.ends_with(REPORT_PAGE));
+            target("--out", out)
+        }
         Command::Compare(args) => target("--out", args.out.as_ref()),
         Command::ScriptSearch(args) => target("--out", args.out.as_ref()),
         Command::Taxonomy { command } => match command {

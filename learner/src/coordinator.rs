@@ -352,12 +352,12 @@ impl Coordinator {
             let text = "it never said hello to this learner";
             return self.refuse_stranger(Some(key.0), &Refusal::new(RefusalCause::Stranger, text));
         };
-        // The network layer drops and counts what follows. This one was in the queue already.
+        // The network layer drops and counts what follows, as far as it knows of it. This one was in the queue already.
         if sender.cut_off {
-            return;
+            return self.books.refuse_without_event(RefusalCause::CutOff, 1);
         }
         // A hello costs nothing, and what is entered in the books stays in every checkpoint. An honest actor's rollouts may
-        // overtake its token: they come again.
+        // overtake its token: it notices after three seconds without an acknowledgement, and sends them again.
         if !sender.has_been_member() {
             return;
         }

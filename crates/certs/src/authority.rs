@@ -28,8 +28,8 @@ const MAX_LIFETIME: Duration = Duration::from_hours(24 * 36_500);
 const CLOCK_SKEW: Duration = Duration::from_mins(5);
 
 /// What a damaged file of serial numbers holds, and what helps.
-const NO_SERIAL: &str = "no serial number: write the number of the last certificate into it, \
-                         or remove it to count from 1 again";
+const NO_SERIAL: &str = "no serial number: write the highest number of its certificates into it \
+                         (`leadtime certs show`)";
 /// What a damaged key holds, and what helps.
 const NO_KEY: &str =
     "no private key, so its certificate is of no use: remove both, and issue them again";
@@ -230,7 +230,7 @@ impl Authority {
         Ok(made)
     }
 
-    /// Refuses a key that is here, and is none: its certificate would be renewed for nothing.
+    /// Refuses a file in the place of a key that holds no key: its certificate would be renewed for nothing.
     fn check_key(&self, name: &PeerName) -> Result<()> {
         let [_, path] = self.files(name);
         let away = [io::ErrorKind::NotFound, io::ErrorKind::PermissionDenied];

@@ -276,15 +276,21 @@ impl Config {
 
 /// Refuses an option that asks for another domain than the texts below it are about, because their sections are not its own.
 fn same_domain(layers: &[Layer]) -> Result<(), ConfigError> {
-    let asked = layers.iter().enumerate().find_map(|(i, layer)| Some((i, layer.asked_domain()?)));
-    let Some((i, asked)) = asked else { return Ok(()) };
-    let about = domain_of(&layers[..i])?;
-    let fits = about == GENERAL || asked.as_str() == Some(about.as_str());
-    let allowed = format!(
-        "\"{about}\", which the configuration is about; another domain has a configuration of its own, by -c"
-    );
-    ensure(fits, "domain", quoted(&asked.to_string()), allowed)
-        .map_err(|error| error.at(&layers[i].place))
+    let asked = |layer: &Layer| layer.asked_domain().is_some();
+    let Some(first) = layers.iter().position(asked) else { return Ok(()) };
+    let about = domain_of(&layers[..first])?;
+    let allowed = || {
+        format!(
+            "\"{about}\", which the configuration is about; another domain has a configuration of its own, by -c"
+        )
+    };
+    for layer in &layers[first..] {
+        let Some(asked) = layer.asked_domain() else { continue };
+        let fits = about == GENERAL || asked.as_str() == Some(about.as_str());
+        ensure(fits, "domain", quoted(&asked.to_string()), allowed())
+            .map_err(|error| error.at(&layer.place))?;
+    }
+    Ok(())
 }
 
 /// Refuses an unknown top-level key, and finds the section, or the section's key, that was meant.

@@ -248,7 +248,7 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
                     || !is_other_choice(below, &above) =>
             {
                 overlay(below, above, false)?;
-                // What is wrong with it as a whole is wrong since it was written last.
+                // An error of the merged section as a whole is blamed on the text that wrote to it last.
                 let merged = DeValue::Table(std::mem::take(below));
                 drop(base.insert(key, Spanned::new(span, merged)));
             }

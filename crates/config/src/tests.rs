@@ -376,6 +376,7 @@ fn what_is_wrong_is_reported_by_line_or_option_with_what_is_allowed() {
     assert!(!text.contains("built-in"), "{text}");
     let says = "--set domain: `domain` is \"lander\"; allowed: \"cartpole\", which the configuration is about";
     refused("domain = \"cartpole\"", &["domain=lander"], &[says]);
+    refused("domain = \"cartpole\"", &["domain=cartpole", "domain=lander"], &[says]);
     load("domain = \"cartpole\"", &["domain=cartpole"], &Catalog::built_in()).unwrap();
 }
 

@@ -50,7 +50,7 @@ const EVERYTHING: &[&str] = &[
     "liveliness_query",
 ];
 
-/// What finding out who is present takes.
+/// The messages that it takes to find out who is present.
 const LOOK: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
 
 /// Placeholders, which only become part of keys that are made here: every name of ours has other letters or another place.

@@ -47,6 +47,8 @@ const N_ANSWERING: usize = 1;
 const TAKEN_GRACE: Duration = Duration::from_secs(2);
 /// How long hellos that reach nobody are repeated before an access list is blamed: longer than a dead learner stays visible.
 const HELLO_GRACE: Duration = Duration::from_secs(5);
+/// A search for the run that takes longer than this, and one look is shorter, missed it at first.
+const AWAY: Duration = Duration::from_secs(2);
 /// How long to wait for the answer to one hello: a question may be lost while a connection is being set up.
 const HELLO_WAIT: Duration = Duration::from_secs(10);
 /// How long a relay may take to answer; after that the learner is asked.
@@ -163,7 +165,7 @@ impl ActorLink {
             self.renew().await;
             let looked = Instant::now();
             let run = self.find(run, started, timeout).await?;
-            if looked.elapsed() > HELLO_GRACE {
+            if looked.elapsed() > AWAY {
                 // The learner was gone meanwhile, so it is no access list that was in the way before.
                 unheard = None;
             }

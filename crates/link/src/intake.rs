@@ -16,7 +16,7 @@
 //! * Nothing here waits, and nothing grows with what strangers send: names, places, bytes and counts have limits.
 //! * Every refusal is either an event in the queue or part of [`RolloutIntake::take_uncounted`], never both.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
@@ -39,7 +39,8 @@ const MAX_COUNTS: usize = 1_024;
 /// Refused messages that are no events, by the name in their key and by cause.
 pub type RefusalCounts = BTreeMap<(Option<ActorId>, RefusalCause), u64>;
 
-/// The most starts of actors whose messages are dropped unread. Those of more are read and refused by the coordinator.
+/// The most starts of actors whose messages are dropped unread, the last ones. Those of others are read, and dropped by the
+/// coordinator.
 const MAX_CUT_OFF: usize = 1_024;
 
 /// Admits messages from the network's callback to the event queue.
@@ -52,7 +53,8 @@ pub(crate) struct RolloutIntake {
     pool_bytes: usize,
     all: Arc<QueueUsage>,
     senders: Mutex<BTreeMap<Option<ActorId>, Arc<QueueUsage>>>,
-    cut_off: Mutex<BTreeSet<(ActorId, Incarnation)>>,
+    /// In the order in which they were cut off.
+    cut_off: Mutex<VecDeque<(ActorId, Incarnation)>>,
     uncounted: Mutex<RefusalCounts>,
 }
 
@@ -144,9 +146,9 @@ impl RolloutIntake {
     /// Takes nothing more from this start of the actor.
     pub(crate) fn cut_off(&self, actor: &ActorId, incarnation: Incarnation) {
         let mut cut_off = lock(&self.cut_off);
-        cut_off.insert((actor.clone(), incarnation));
+        cut_off.push_back((actor.clone(), incarnation));
         if cut_off.len() > MAX_CUT_OFF {
-            cut_off.pop_first();
+            cut_off.pop_front();
         }
     }
 

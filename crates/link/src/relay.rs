@@ -36,8 +36,8 @@ const MAX_PULLS: usize = 16;
 const MAX_BYTES: usize = 256 << 20;
 
 type Digest = [u8; 32];
-/// The result of a pull: the digest that it asked for, and the weights.
-type Pulled = (Digest, Result<Vec<u8>>);
+/// The result of a pull: what was asked for, and the weights.
+type Pulled = (Asked, Result<Vec<u8>>);
 
 /// What a relay did since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,7 +101,7 @@ struct Desk {
     answers: Answers,
     shelf: RelayCache,
     /// Who waits for weights that are on their way.
-    waiting: BTreeMap<Digest, Vec<(Query, PolicyVersion)>>,
+    waiting: BTreeMap<Asked, Vec<Query>>,
     n_waiting: usize,
     pulls: JoinSet<Pulled>,
     counts: tokio::sync::watch::Sender<RelayCounts>,
@@ -129,39 +129,43 @@ impl Desk {
                 .refuse(query, "a pull has to say which version and digest it wants".to_owned());
         };
         if let Some((header, weights)) = self.shelf.take(&asked.sha256) {
+            // Another run, or a fork, may have the same weights under another number.
             return self.answer(query, Header { version: asked.version, ..header }, weights);
         }
         if self.n_waiting >= MAX_QUESTIONS {
             return self.refuse(query, "too many questions wait here".to_owned());
         }
-        if let Some(others) = self.waiting.get_mut(&asked.sha256) {
-            others.push((query, asked.version));
+        if let Some(others) = self.waiting.get_mut(&asked) {
+            others.push(query);
         } else if self.pulls.len() >= MAX_PULLS {
             return self.refuse(query, "too many versions are pulled at once".to_owned());
         } else {
-            self.waiting.insert(asked.sha256, vec![(query, asked.version)]);
-            self.pulls.spawn(pull(self.session.clone(), asked));
+            self.pulls.spawn(pull(self.session.clone(), asked.clone()));
+            self.waiting.insert(asked, vec![query]);
         }
         self.n_waiting += 1;
     }
 
-    fn deliver(&mut self, (sha256, pulled): Pulled) {
-        let waiting = self.waiting.remove(&sha256).unwrap_or_default();
+    fn deliver(&mut self, (asked, pulled): Pulled) {
+        let waiting = self.waiting.remove(&asked).unwrap_or_default();
         self.n_waiting -= waiting.len();
         match pulled {
             Ok(weights) => {
                 self.counts.send_modify(|counts| counts.pulled += 1);
                 let header = Header::plain(Schema::Weights, Incarnation(0), &weights);
                 let weights = Bytes::from(weights);
-                self.shelf.put(sha256, header, weights.clone());
-                // Another run, or a fork, may have the same weights under another number.
-                for (query, version) in waiting {
-                    self.answer(query, Header { version, ..header }, weights.clone());
+                self.shelf.put(asked.sha256, header, weights.clone());
+                for query in waiting {
+                    self.answer(
+                        query,
+                        Header { version: asked.version, ..header },
+                        weights.clone(),
+                    );
                 }
             }
             Err(error) => {
                 debug!(%error, "weights could not be pulled for a region");
-                for (query, _) in waiting {
+                for query in waiting {
                     self.refuse(query, error.to_string());
                 }
             }
@@ -172,7 +176,7 @@ impl Desk {
     fn give_up(&mut self, reason: &str) {
         debug!(reason, "a pull of weights broke off");
         self.n_waiting = 0;
-        for (query, _) in std::mem::take(&mut self.waiting).into_values().flatten() {
+        for query in std::mem::take(&mut self.waiting).into_values().flatten() {
             self.refuse(query, reason.to_owned());
         }
     }
@@ -189,14 +193,13 @@ impl Desk {
 }
 
 async fn pull(session: Session, asked: Asked) -> Pulled {
-    let Asked { run, domain, version, sha256 } = asked;
-    let key = Key::Weights(&run, &domain);
-    let pulled = ask::pull(&session, key, version, sha256, ask::PULL_TIMEOUT).await;
-    (sha256, pulled)
+    let key = Key::Weights(&asked.run, &asked.domain);
+    let pulled = ask::pull(&session, key, asked.version, asked.sha256, ask::PULL_TIMEOUT).await;
+    (asked, pulled)
 }
 
 /// What a question at a relay's key asks for.
-#[derive(Debug)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Asked {
     run: RunName,
     domain: DomainName,

@@ -45,15 +45,15 @@ pub fn runtime_fault(value: &str) -> Option<String> {
 #[expect(dead_code, reason = "it is only checked that it can be read")]
 struct Runtimes {
     #[serde(default)]
-    app: Option<RuntimeLimits>,
+    app: RuntimeLimits,
     #[serde(default)]
-    acc: Option<RuntimeLimits>,
+    acc: RuntimeLimits,
     #[serde(default)]
-    tx: Option<RuntimeLimits>,
+    tx: RuntimeLimits,
     #[serde(default)]
-    rx: Option<RuntimeLimits>,
+    rx: RuntimeLimits,
     #[serde(default)]
-    net: Option<RuntimeLimits>,
+    net: RuntimeLimits,
 }
 
 /// The limits of one of its runtimes.
@@ -78,6 +78,12 @@ enum RuntimeName {
     Tx,
     Rx,
     Net,
+}
+
+impl Default for RuntimeLimits {
+    fn default() -> Self {
+        Self { worker_threads: one(), max_blocking_threads: one(), handover: None }
+    }
 }
 
 fn one() -> NonZeroUsize {
@@ -106,6 +112,7 @@ mod tests {
             "",
             "nonsense",
             "(net: 2)",
+            "(net: None)",
             "(nte: (worker_threads: 1))",
             "(net: (worker_threads: 0))",
             "(net: (handover: nowhere))",

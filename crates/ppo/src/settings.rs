@@ -144,7 +144,8 @@ impl LearnerSettings {
         let not_negative = |x: f64| (0.0..=1e6).contains(&x);
         let n_samples = self.n_envs.saturating_mul(self.n_steps);
         let minibatches_fit = (1..=n_samples).contains(&self.n_minibatches);
-        let lag_fits = (1..=limits::MAX_LAG).contains(&self.lag);
+        // In the other modes it decides nothing, and old configurations may have 0 there.
+        let lag_fits = self.lag <= limits::MAX_LAG && (self.lag > 0 || self.mode != Mode::Lag);
         let rules: [(bool, &'static str, &'static str); 17] = [
             ((1..=limits::MAX_ENVS).contains(&self.n_envs), "n_envs", "from 1 to 65536"),
             ((1..=limits::MAX_ROLLOUT_STEPS).contains(&self.n_steps), "n_steps", "from 1 to 65536"),
@@ -238,7 +239,8 @@ mod tests {
                 ..LearnerSettings::default()
             };
             assert_eq!(with(1, MAX_EPOCHS).check(), Ok(()));
-            assert_eq!(with(0, 1).check().unwrap_err().key, "lag");
+            assert_eq!(with(0, 1).check().is_err(), mode == Mode::Lag);
+            assert_eq!(with(limits::MAX_LAG + 1, 1).check().unwrap_err().key, "lag");
             let error = with(1, 4_000_000_000).check().unwrap_err();
             assert_eq!((error.key, error.requirement), ("n_epochs", "from 1 to 1000"));
         }

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
-//! configuration). A finished run that has lost its newest policy counts as unfinished, so that its last checkpoint makes the
+//! configuration). A named finished run that has lost its newest policy is opened as well, so that its newest checkpoint makes the
 //! policy files again. A changed configuration is refused with the difference; keys that cannot change a run's bits do
 //! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!
@@ -129,15 +129,17 @@ impl RunDir {
             let trained = TrainingTraces::find(&path, &record).map_err(io)?;
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
-                let state = match compare(&record, &before, &config.table, name, allowed)? {
-                    // A learner writes it again from the last checkpoint, and trains nothing.
-                    RunState::Finished if trained.has_lost_policies(&path) => RunState::Unfinished,
-                    state => state,
-                };
+                let mut state = compare(&record, &before, &config.table, name, allowed)?;
+                // A learner writes them again from the last checkpoint. The result stays until then.
+                let is_restored = state == RunState::Finished && trained.has_lost_policies(&path);
+                if is_restored {
+                    trained.check(&path, name, &before)?;
+                    state = RunState::Unfinished;
+                }
                 fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
                 let changes = difference(&before, &config.table);
                 let grown = changes.iter().find(|change| change.key == TOTAL_STEPS).cloned();
-                if state == RunState::Unfinished {
+                if state == RunState::Unfinished && !is_restored {
                     trained.check(&path, name, &before)?;
                     record.changes.extend(changed(&before, changes, allowed, trained.n_saved));
                     trained.forget_lost_updates(&path).map_err(io)?;

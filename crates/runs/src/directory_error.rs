@@ -20,6 +20,11 @@ pub enum RunDirError {
     /// A learner or a supervisor works on the run of this name.
     #[error("run `{0}` is being trained by another learner right now")]
     Locked(String),
+    /// A learner works on the run of this name whose supervisor was killed: it is about to end.
+    #[error(
+        "run `{0}` is being trained by a learner whose supervisor was killed: it ends within seconds"
+    )]
+    Orphaned(String),
     /// The directory is no run's, or its run cannot be taken up as asked; the sentence says why, and what helps.
     #[error("{0}")]
     Refused(String),

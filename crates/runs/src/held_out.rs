@@ -155,8 +155,9 @@ pub(crate) fn write(
 
 /// Reads a run's evaluations on held-out episodes; none where there are none.
 pub(crate) fn read(directory: &Path) -> Vec<Map<String, Value>> {
-    let text = regular::read_to_string(&directory.join(HELD_OUT)).unwrap_or_default();
-    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+    let bytes = regular::read(&directory.join(HELD_OUT)).unwrap_or_default();
+    let lines = bytes.split(|&byte| byte == b'\n');
+    lines.filter_map(|line| serde_json::from_slice(line).ok()).collect()
 }
 
 /// Returns the evaluation of a run's best policy; `None` where it was not evaluated while the run trained.

@@ -43,7 +43,12 @@ impl Journal {
         };
         let kept: Vec<&[u8]> =
             bytes.split_inclusive(|&byte| byte == b'\n').filter(belongs).collect();
-        leadtime_learner::write_atomically(&self.path, &kept.concat())?;
+        let kept = kept.concat();
+        if kept.len() == bytes.len() {
+            // Another file in its place would be taken for a rewind by those who follow it.
+            return Ok(());
+        }
+        leadtime_learner::write_atomically(&self.path, &kept)?;
         self.file = OpenOptions::new().append(true).open(&self.path)?;
         Ok(())
     }

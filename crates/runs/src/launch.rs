@@ -4,16 +4,24 @@ use std::ffi::OsString;
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use leadtime_config::Config;
 use leadtime_proto::RunName;
 use thiserror::Error;
+use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
+use tracing::info;
 
 use crate::RunDirError;
 use crate::naming::{Naming, Reservation};
 use crate::scratch::ScratchDir;
 use crate::supervise::{Ended, ProcessPlan, supervise};
+
+/// How long a learner may take to end after its supervisor was killed: a little longer than [`crate::supervise::GRACE`].
+const ORPHAN_PATIENCE: Duration = Duration::from_secs(6);
+/// Pause between two looks at whether it has.
+const ORPHAN_PAUSE: Duration = Duration::from_millis(50);
 
 /// What to launch beside the configuration.
 #[derive(Clone)]
@@ -118,6 +126,29 @@ pub enum LaunchError {
     Start(#[source] io::Error),
 }
 
+/// Reserves a run, and waits for a learner whose supervisor was killed; `None` if it is asked to stop meanwhile.
+async fn reserve(
+    config: &Config,
+    naming: &Naming<'_>,
+    shutdown: &CancellationToken,
+) -> Result<Option<Reservation>, RunDirError> {
+    let deadline = Instant::now() + ORPHAN_PATIENCE;
+    let mut is_told = false;
+    loop {
+        let name = match Reservation::make(config, naming) {
+            Err(RunDirError::Orphaned(name)) if Instant::now() < deadline => name,
+            made => return made.map(Some),
+        };
+        if !std::mem::replace(&mut is_told, true) {
+            info!("the supervisor of run `{name}` was killed: waiting for its learner to end");
+        }
+        tokio::select! {
+            () = shutdown.cancelled() => return Ok(None),
+            () = sleep(ORPHAN_PAUSE) => {}
+        }
+    }
+}
+
 /// Runs learner and actors as child processes until the learner ends.
 ///
 /// # Errors
@@ -139,7 +170,9 @@ pub async fn launch(
         }
         naming => naming,
     };
-    let reserved = Reservation::make(config, &naming)?;
+    let Some(reserved) = reserve(config, &naming, shutdown).await? else {
+        return Ok(Launched { run: config.run.directory.clone(), ended: Ended::Stopped(None) });
+    };
     let failed = |(path, source)| LaunchError::Scratch { path, source };
     let scratch = ScratchDir::make().map_err(failed)?;
     let endpoint = format!("unixsock-stream/{}", scratch.path().join("learner.sock").display());

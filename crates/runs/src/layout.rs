@@ -3,8 +3,6 @@
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::thread;
-use std::time::{Duration, Instant};
 
 use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, STOP_AT, TOTAL_STEPS, difference};
@@ -26,10 +24,6 @@ pub(crate) const LOCK: &str = "lock";
 pub(crate) const SUPERVISOR_LOCK: &str = "supervisor.lock";
 /// What a learner that ends with its supervisor writes into its lock.
 pub(crate) const SUPERVISED: &[u8] = b"supervised\n";
-/// How long a learner may take to end after its supervisor was killed: a little longer than [`crate::supervise::GRACE`].
-const ORPHAN_PATIENCE: Duration = Duration::from_secs(6);
-/// Pause between two looks at whether it has.
-const ORPHAN_PAUSE: Duration = Duration::from_millis(50);
 /// The folder of its checkpoints.
 pub(crate) const CHECKPOINTS: &str = "checkpoints";
 /// What a start that was killed may leave in a directory that has no configuration yet.
@@ -103,9 +97,9 @@ impl TrainingTraces {
         if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0) }
     }
 
-    /// Tells whether policies of a run are gone that its last checkpoint holds, or the last of them.
+    /// Tells whether the run has lost a policy that its last checkpoint still holds, or its only policy.
     pub(crate) fn has_lost_policies(&self, path: &Path) -> bool {
-        !path.join(LAST_POLICY).exists() && (self.has_checkpoints || !policy_file::is_in(path))
+        !path.join(LAST_POLICY).is_file() && (self.has_checkpoints || !policy_file::is_in(path))
     }
 
     /// Refuses a run whose checkpoints are gone: it would begin anew, over what it had trained.
@@ -134,10 +128,12 @@ impl TrainingTraces {
     }
 }
 
-/// Returns whether the run in a directory has reached its end, and has a policy to show for it.
+/// Returns whether the run in a directory has reached its end, and has its policies as far as they can be had.
 pub fn is_finished(path: &Path) -> bool {
     let has_ended = RunRecord::read(path).is_ok_and(|record| record.result.is_some());
-    has_ended && policy_file::is_in(path)
+    let is_all_there =
+        || policy_file::is_in(path) && checkpoints(path).is_ok_and(|it| it.is_empty());
+    has_ended && (path.join(LAST_POLICY).is_file() || is_all_there())
 }
 
 /// Lists the checkpoints of a run directory; none if it has no folder for them.
@@ -198,27 +194,19 @@ pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunD
     }
 }
 
-/// Takes the learner's lock for a supervisor, which holds its own; waits for a learner whose supervisor was killed, because it
-/// is about to end.
+/// Takes the learner's lock for a supervisor, which holds its own.
+///
+/// # Errors
+///
+/// As [`lock`]; [`RunDirError::Orphaned`] if the learner that holds it had a supervisor, which is gone: it is about to end.
 pub(crate) fn lock_for_supervisor(path: &Path, name: &RunName) -> Result<File, RunDirError> {
-    let deadline = Instant::now() + ORPHAN_PATIENCE;
-    let mut is_told = false;
-    loop {
-        match lock(path, LOCK, name) {
-            Err(RunDirError::Locked(_)) if is_orphaned(path) && Instant::now() < deadline => {
-                if !std::mem::replace(&mut is_told, true) {
-                    tracing::info!(
-                        "the supervisor of run `{name}` was killed: waiting for its learner to end"
-                    );
-                }
-                thread::sleep(ORPHAN_PAUSE);
-            }
-            locked => return locked,
-        }
-    }
+    lock(path, LOCK, name).map_err(|error| match error {
+        RunDirError::Locked(name) if is_orphaned(path) => RunDirError::Orphaned(name),
+        error => error,
+    })
 }
 
-/// Tells whether a learner that holds the lock had a supervisor, of which the caller knows that it is gone.
+/// Tells whether the learner that holds the lock was started by a supervisor; the caller knows that this one is gone.
 fn is_orphaned(path: &Path) -> bool {
     regular::read(&path.join(LOCK)).is_ok_and(|text| text == SUPERVISED)
 }

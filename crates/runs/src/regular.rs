@@ -1,4 +1,4 @@
-//! Reading what is a file.
+//! Reads regular files only.
 //!
 //! Anything may lie where a run's files are looked for. A pipe would keep its reader waiting for ever.
 
@@ -6,7 +6,7 @@ use std::fs::{self, File};
 use std::io::{self, Read as _};
 use std::path::Path;
 
-/// Opens a file; an error says that it is none.
+/// Opens a regular file; anything else is an error that says so.
 pub(crate) fn open(path: &Path) -> io::Result<File> {
     check(path)?;
     File::open(path)

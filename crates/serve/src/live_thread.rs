@@ -147,7 +147,7 @@ impl LiveThread {
     /// Ends the thread, once it has followed its orders, and waits for it.
     pub(crate) fn stop(self) {
         let Self { orders, handle } = self;
-        // Without whoever could give more orders the thread ends, however many wait.
+        // With the sender gone the thread ends, even if orders still wait.
         drop(orders);
         handle.thread().unpark();
         drop(handle.join());

@@ -92,7 +92,7 @@ pub enum BadObservation {
     Encoding(String),
 }
 
-// The sentence holds its cause already, which is not named once more.
+// The sentence already contains its cause, so `source()` does not repeat it.
 impl From<JsonFault> for BadObservation {
     fn from(fault: JsonFault) -> Self {
         Self::Json(fault)

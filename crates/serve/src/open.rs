@@ -166,7 +166,7 @@ pub enum OpenRefusal {
     Network(leadtime_link::Error),
 }
 
-// What each of them says holds its cause already: clients get the sentence alone. So the cause is not named once more.
+// Clients get the sentence alone, so it contains its cause, and `source()` does not repeat it.
 impl From<JsonFault> for OpenRefusal {
     fn from(fault: JsonFault) -> Self {
         Self::Question(fault)

@@ -88,7 +88,7 @@ async fn carry_out(
     let log = training.log();
     let what = Launch { stderr_log: Some(log.clone()), ..Launch::new(Naming::Resume, n_actors) };
     let code = match launch(&training.config, &what, &stop).await?.ended {
-        Ended::Learner(Some(0)) => return Ok(()),
+        Ended::Learner(Some(0)) | Ended::Stopped(Some(0)) => return Ok(()),
         Ended::Stopped(_) => return Err(Error::Interrupted),
         Ended::Learner(code) => code,
         Ended::NoActorLeft => None,

@@ -568,7 +568,7 @@ impl RunView {
         let is_going = phase == RunPhase::Training && n_left > 0;
         let left = self.speed().filter(|speed| is_going && *speed > 0.0);
         let rate = self.speed().map(|speed| speed * self.steps_per_update());
-        // A single update says little, but is all there is at first; of a run that does not train there is no speed.
+        // The speed of a single update says little, but it is all there is at first. A run that does not train has no speed.
         let rate = rate.or_else(|| number("system/steps_per_second")).filter(|_| is_going);
         json!({
             "schema": SCHEMA,

@@ -102,7 +102,7 @@ pub enum ProtocolError {
     GaveUp(String),
 }
 
-// The sentence holds its cause already, which is not named once more.
+// The sentence already contains its cause, so `source()` does not repeat it.
 impl From<io::Error> for ProtocolError {
     fn from(error: io::Error) -> Self {
         Self::Io(error)

@@ -2,7 +2,7 @@
 
 mod truth;
 
-use std::fs::File;
+use std::fs::{File, OpenOptions};
 use std::io::Write as _;
 use std::path::Path;
 
@@ -32,8 +32,8 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
             return truth::run(tasks, args, &task);
         }
         let kept_in = args.save.then(|| task.run()).transpose()?;
-        // Made first: a path that cannot be written is told before an hour's work.
-        let steps = args.episodes_to.as_deref().map(StepsFile::create).transpose()?;
+        // Opened first: a path that cannot be written is reported before an hour's work.
+        let steps = args.episodes_to.as_deref().map(StepsFile::open).transpose()?;
         let record = task.evaluate(tasks, args)?;
         // Printed first: a file that cannot be written must not cost the results.
         if args.shown.json {
@@ -82,9 +82,16 @@ struct StepsFile<'a> {
 }
 
 impl<'a> StepsFile<'a> {
-    fn create(path: &'a Path) -> Result<Self, Failure> {
-        let file = File::create(path).with_context(|| format!("writing {}", path.display()));
+    /// Opens the file; what an earlier evaluation wrote stays until [`Self::empty`].
+    fn open(path: &'a Path) -> Result<Self, Failure> {
+        let file = OpenOptions::new().write(true).create(true).truncate(false).open(path);
+        let file = file.with_context(|| format!("writing {}", path.display()));
         Ok(Self { path, file: file.blame(ExitCode::WrongInput)? })
+    }
+
+    /// Drops what was written before. A device has no length to set.
+    fn empty(&self) {
+        drop(self.file.set_len(0));
     }
 
     fn write(&mut self, lines: &str) -> Result<(), Failure> {
@@ -130,6 +137,7 @@ impl EvalTask {
         args: &EvalArgs,
         mut steps: StepsFile<'_>,
     ) -> Result<(), Failure> {
+        steps.empty();
         let make = || tasks.registry.build(&self.policy.config.evaluation.task);
         let n_episodes = u64::from(self.n_episodes(args));
         let settings = PlaySettings::new(n_episodes, args.acting.choosing.eval_seed);

@@ -49,7 +49,8 @@ pub(super) async fn launch_or_drain(
     let [lost, interrupted] =
         [ExitCode::PeerLost, ExitCode::Interrupted].map(|code| Ended::Learner(Some(code as i32)));
     let may_pass = [Ended::NoActorLeft, Ended::Learner(None), lost, interrupted];
-    if matches!(launched.ended, Ended::Stopped(_)) || may_pass.contains(&launched.ended) {
+    let stopped = [Ended::Stopped(None), Ended::Stopped(Some(ExitCode::Interrupted as i32))];
+    if stopped.contains(&launched.ended) || may_pass.contains(&launched.ended) {
         goes_on(&launched.run, what);
     }
     outcome(launched)
@@ -72,10 +73,13 @@ pub(super) async fn carry_out(
 pub(super) fn outcome(launched: Launched) -> Result<PathBuf, Failure> {
     // The processes have logged why.
     match launched.ended {
-        Ended::Learner(Some(0)) => Ok(launched.run),
-        Ended::Learner(Some(code)) => Err(Failure::silent(ExitCode::from_status(code))),
+        // The learner reached the run's end, though it was asked to stop.
+        Ended::Learner(Some(0)) | Ended::Stopped(Some(0)) => Ok(launched.run),
+        Ended::Learner(Some(code)) | Ended::Stopped(Some(code)) => {
+            Err(Failure::silent(ExitCode::from_status(code)))
+        }
         Ended::Learner(None) | Ended::NoActorLeft => Err(Failure::silent(ExitCode::Failed)),
-        Ended::Stopped(_) => Err(Failure::silent(ExitCode::Interrupted)),
+        Ended::Stopped(None) => Err(Failure::silent(ExitCode::Interrupted)),
     }
 }
 

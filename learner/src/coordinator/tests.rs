@@ -368,7 +368,7 @@ fn rollouts_of_who_was_never_a_member_enter_no_books() {
     c.joined(actor("stranger"), Incarnation(1));
     send(&mut c, "stranger", 1, 1, &rollout(0, 0, 0));
     assert_eq!(c.books().superseded, before.superseded + 1);
-    // Whoever has left is acknowledged what was on its way.
+    // Rollouts of an actor that has left are still acknowledged.
     c.left(actor("stranger"), Incarnation(1));
     send(&mut c, "stranger", 2, 1, &rollout(0, 0, 0));
     assert_eq!(c.books().superseded, before.superseded + 2);
