@@ -542,7 +542,9 @@ async fn an_actor_outlives_its_learner_and_goes_on_with_the_next() {
         let report = resumed.report().await;
         assert_eq!(report.digest, reference(mode), "{mode:?}");
         assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
-        assert!(report.books.rolled_back >= n_lost * N_ENVS as u64, "{:?}", report.books);
+        // Lost with the learner, or made before it and sent again because nobody had acknowledged it.
+        let n_made_again = report.books.rolled_back + report.books.superseded;
+        assert!(n_made_again >= n_lost * N_ENVS as u64, "{:?}", report.books);
         let own = dismissed(survivor).await;
         assert!(own.n_reconnects > 0);
         assert_eq!(report.books.published, own.sent.0);

@@ -266,7 +266,7 @@ impl RunChoice {
     ///
     /// A sentence about a key that is changed twice or cannot change, or what [`SourceArgs::load`] says.
     pub(crate) fn load(&self, tasks: &Tasks, source: &SourceArgs) -> anyhow::Result<Config> {
-        changes::check_given_once(&self.change, &source.set)?;
+        changes::check_given_once(&self.change)?;
         // First: it knows which key was meant by an unknown one.
         let config = source.changed(&self.change).load(tasks, self.name.as_deref())?;
         changes::check_changeable(&self.change)?;

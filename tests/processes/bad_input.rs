@@ -121,8 +121,6 @@ fn a_change_of_a_run_that_goes_on_is_told_by_its_own_option() {
     told("--change learner.n_envs=16", &["`learner.n_envs` cannot change while a run goes on"]);
     let twice = ["`learner.clip` is given by --change twice", "leave one of them out"];
     told("--change learner.clip=0.1 --change learner.clip=0.2", &twice);
-    let both = ["`learner.clip` is given by --change and by --set", "leave one of them out"];
-    told("--change learner.clip=0.1 --set learner.clip=0.4", &both);
     let name = Command::new(env!("CARGO_BIN_EXE_leadtime"))
         .args(["up", "-c", "cartpole", "--name", ""])
         .current_dir(place.path())

@@ -299,7 +299,7 @@ fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
     let actor = actor(&place, "");
     wait_for_updates(&place.run("r"), 8);
     disk.fill();
-    wait_for_words(&learner, "training goes on");
+    wait_for_words(&learner, "training continues");
     let n_updates = || sample(&get(&at, "/metrics").1, "leadtime_updates_total").unwrap();
     let before = n_updates();
     wait_until("training goes on", PATIENCE, || n_updates() > before + 2.0);
@@ -312,7 +312,7 @@ fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
     wait_for_words(&learner, "checkpoints can be written again");
     wait_until("training goes on", PATIENCE, || n_updates() > paused + 2.0);
     let said = learner.stderr();
-    assert_eq!(said.matches("training goes on").count(), 1, "told once: {said}");
+    assert_eq!(said.matches("training continues").count(), 1, "told once: {said}");
     // An end that cannot be saved is kept until somebody insists.
     disk.fill();
     signal("TERM", learner.id());

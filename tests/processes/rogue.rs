@@ -260,7 +260,7 @@ async fn forged(undisturbed: &Place, number: u64, said: &str) -> [String; 2] {
     for version in 1..=3 {
         forger.offer_weights(PolicyVersion(version), vec![version as u8; 100].into()).unwrap();
     }
-    wait_for_words(&helper, "what was announced as weights is none");
+    wait_for_words(&helper, "the announced weights cannot be read");
     wait_for_words(&helper, said);
     let other = place.start(&["actor --id other --connect", &endpoint]);
     let told = second.finish(PATIENCE).with_code(0).stderr;

@@ -96,7 +96,7 @@ fn sentences_of_ones_own_are_rated() {
     assert!(rated.contains("(k, l) = (3, 3)  Traffic, slow down.  ["), "{rated}");
     assert!(rated.contains("never_understood  Lovely day.  ["), "{rated}");
     let unknown = rate("authored --topic stop", &["Stop now."]).with_code(WRONG_INPUT);
-    unknown.saying(&["`topic`", "stop", "slow_down"]);
+    unknown.saying(&["--topic stop", "slow_down"]);
     let empty = rate("grammar --topic slow_down", &["?"]).with_code(WRONG_INPUT);
     empty.saying(&["\"?\" has no words"]);
 }

@@ -9,12 +9,10 @@ pub(super) fn parse(text: &str) -> Result<Override, String> {
     Override::parse(text).map(|change| change.given_by("--change"))
 }
 
-/// Refuses a key that gets two values: by two changes, or by a change and by `--set`.
-pub(super) fn check_given_once(changes: &[Override], set: &[Override]) -> anyhow::Result<()> {
+/// Refuses a key that gets two values. One that `--set` gives as well is what the run began with: the change holds.
+pub(super) fn check_given_once(changes: &[Override]) -> anyhow::Result<()> {
     for (i, change) in changes.iter().enumerate() {
         let key = change.key();
-        let is_set = set.iter().any(|set| holds(&set.key(), &key));
-        ensure!(!is_set, "`{key}` is given by --change and by --set: leave one of them out");
         let is_again = changes[..i].iter().any(|earlier| earlier.key() == key);
         ensure!(!is_again, "`{key}` is given by --change twice: leave one of them out");
     }
@@ -34,12 +32,6 @@ pub(super) fn check_changeable(changes: &[Override]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Tells whether a key is that of a setting, or of the section that holds it.
-fn holds(key: &str, setting: &str) -> bool {
-    let rest = setting.strip_prefix(key);
-    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('.'))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -50,15 +42,11 @@ mod tests {
 
     #[test]
     fn a_key_gets_one_value() {
-        let check = |change: &[&str], set: &[&str]| {
-            check_given_once(&changes(change), &changes(set)).map_err(|error| error.to_string())
+        let check = |change: &[&str]| {
+            check_given_once(&changes(change)).map_err(|error| error.to_string())
         };
-        assert_eq!(check(&["learner.clip=0.1", "learner.gamma=0.9"], &["learner.clips=1"]), Ok(()));
-        for set in ["learner.clip=0.4", "learner={clip=0.4}"] {
-            let error = check(&["learner.clip=0.1"], &[set]).unwrap_err();
-            assert!(error.starts_with("`learner.clip` is given by --change and by"), "{error}");
-        }
-        let error = check(&["learner.clip=0.1", "learner.clip=0.2"], &[]).unwrap_err();
+        assert_eq!(check(&["learner.clip=0.1", "learner.gamma=0.9"]), Ok(()));
+        let error = check(&["learner.clip=0.1", "learner.clip=0.2"]).unwrap_err();
         assert!(error.contains("by --change twice"), "{error}");
     }
 
