@@ -10,8 +10,8 @@ use crate::provenance::minutes;
 use crate::train::Crew;
 
 /// Environment steps per second of one training, where no run says: those of the main table, piloting and driving, two
-/// trainings at a time on two cores (`docs/results/table1.md`: 68.0 million steps in 102.8 minutes of runs).
-const STEPS_PER_SECOND: f64 = 11_000.0;
+/// trainings at a time on two cores (`docs/results/table1.md`: 335.6 million steps in 344.8 minutes of runs, on a machine that did other work as well).
+const STEPS_PER_SECOND: f64 = 16_000.0;
 
 /// How long trainings will take.
 #[derive(Clone, Copy, Debug, PartialEq)]

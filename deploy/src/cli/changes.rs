@@ -42,9 +42,8 @@ mod tests {
 
     #[test]
     fn a_key_gets_one_value() {
-        let check = |change: &[&str]| {
-            check_given_once(&changes(change)).map_err(|error| error.to_string())
-        };
+        let check =
+            |change: &[&str]| check_given_once(&changes(change)).map_err(|error| error.to_string());
         assert_eq!(check(&["learner.clip=0.1", "learner.gamma=0.9"]), Ok(()));
         let error = check(&["learner.clip=0.1", "learner.clip=0.2"]).unwrap_err();
         assert!(error.contains("by --change twice"), "{error}");
