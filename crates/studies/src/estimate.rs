@@ -105,8 +105,8 @@ mod tests {
             estimate,
             "about 1m 00s of training, 2 at a time, at the recorded pace of 1 run; evaluation comes on top"
         );
-        let other = TrainingEstimate::from_paces(&[], &[("highway", 1_100_000)], 2).to_string();
-        let told = "about 1m 40s of training, 1 at a time, at 11000 steps/s each, the pace of docs/results/table1.md";
+        let other = TrainingEstimate::from_paces(&[], &[("highway", 1_600_000)], 2).to_string();
+        let told = "about 1m 40s of training, 1 at a time, at 16000 steps/s each, the pace of docs/results/table1.md";
         assert!(other.starts_with(told), "{other}");
     }
 }
