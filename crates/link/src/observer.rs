@@ -68,7 +68,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Unreachable`] if nobody answers within the settings' time-out.
+    /// [`crate::Error::Unreachable`] if nobody answers within the settings' time-out.
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = session::connect(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
@@ -80,7 +80,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if the network cannot be asked.
+    /// [`crate::Error::Network`] if the network cannot be asked.
     pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
         discovery::runs(&self.session).await
     }
@@ -90,7 +90,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::RunNotFound`], [`Error::SeveralRuns`] or [`Error::NoLearner`].
+    /// [`crate::Error::RunNotFound`], [`crate::Error::SeveralRuns`] or [`crate::Error::NoLearner`].
     pub async fn find_run(
         &self,
         settings: &ConnectSettings,
@@ -103,7 +103,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Network`] if it cannot be subscribed to.
+    /// [`crate::Error::Network`] if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
         let (events, latest) = (self.events.clone(), Arc::clone(&self.latest));
         let missed = Arc::clone(&self.n_missed);
@@ -146,8 +146,8 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoAnswer`] if the learner is not there,
-    /// [`Error::BadAnswer`] if it is of another release.
+    /// [`crate::Error::NoAnswer`] if the learner is not there,
+    /// [`crate::Error::BadAnswer`] if it is of another release.
     pub async fn ask_about(&self, run: &RunName) -> Result<(Incarnation, Vec<u8>)> {
         let (key, no_parameters) = (Key::About(run), String::new());
         ask::ask_bytes(&self.session, key, no_parameters, ABOUT, ABOUT_TIMEOUT).await
@@ -158,7 +158,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// As [`ObserverLink::ask_about`]; [`Error::Rejected`] if the learner cannot read its history.
+    /// As [`ObserverLink::ask_about`]; [`crate::Error::Rejected`] if the learner cannot read its history.
     pub async fn ask_history(
         &self,
         run: &RunName,
@@ -179,7 +179,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoAnswer`] if nobody answers, or an access list is in the way.
+    /// [`crate::Error::NoAnswer`] if nobody answers, or an access list is in the way.
     pub async fn round_trip(&self, run: &RunName) -> Result<Duration> {
         ask::round_trip(&self.session, run).await
     }
@@ -188,7 +188,7 @@ impl ObserverLink {
     ///
     /// # Errors
     ///
-    /// [`Error::Close`] if it takes too long.
+    /// [`crate::Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
     }

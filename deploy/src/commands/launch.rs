@@ -32,7 +32,7 @@ pub(super) async fn launch(
     launch_or_drain(config, what, shutdown, &AtomicBool::new(false)).await
 }
 
-/// As [`launch`]; a run that ends in order because it was drained is a success, and how it goes on is left to say.
+/// As [`launch()`]; a run that ends in order because it was drained is a success, and how it goes on is left to say.
 pub(super) async fn launch_or_drain(
     config: &Config,
     what: &Launch<'_>,
