@@ -129,23 +129,23 @@ impl RunDir {
             let trained = TrainingTraces::find(&path, &record).map_err(io)?;
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
-                let mut state = compare(&record, &before, &config.table, name, allowed)?;
+                let state = compare(&record, &before, &config.table, name, allowed)?;
                 // A learner writes them again from the last checkpoint. The result stays until then.
                 let is_restored = state == RunState::Finished && trained.has_lost_policies(&path);
-                if is_restored {
-                    trained.check(&path, name, &before)?;
-                    state = RunState::Unfinished;
-                }
+                let is_opened = state == RunState::Unfinished || is_restored;
                 fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
                 let changes = difference(&before, &config.table);
                 let grown = changes.iter().find(|change| change.key == TOTAL_STEPS).cloned();
-                if state == RunState::Unfinished && !is_restored {
+                if is_opened {
                     trained.check(&path, name, &before)?;
+                }
+                if state == RunState::Unfinished {
                     record.changes.extend(changed(&before, changes, allowed, trained.n_saved));
                     trained.forget_lost_updates(&path).map_err(io)?;
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }
+                let state = if is_opened { RunState::Unfinished } else { state };
                 return Ok((Self { name: name.clone(), record, grown, lock, path }, state));
             }
             kept = record.origin.filter(|_| fork.is_none());

@@ -229,6 +229,7 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     assert_eq!((again.1, again.0.record.builds.len()), (RunState::Unfinished, 1));
     let (run, _) = open(runs.path(), Some("late"), &[]).unwrap();
     train(&run, 21, false);
+    fs::write(run.path.join(LAST_POLICY), "weights").unwrap();
     drop(run);
     begun(runs.path(), Some("gone"), &[]);
     open(runs.path(), Some("gone"), &[]).unwrap().0.finish(result()).unwrap();

@@ -220,7 +220,7 @@ pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
 }
 
 /// Tells whether a directory is a run's, even if a file in it cannot be read.
-fn is_run(path: &Path) -> bool {
+pub(crate) fn is_run(path: &Path) -> bool {
     [RECORD, CONFIG].iter().any(|file| path.join(file).exists())
 }
 

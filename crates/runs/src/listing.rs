@@ -8,8 +8,9 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::directory_error::with_causes;
+use crate::layout::is_run;
 use crate::race::RacerRecord;
-use crate::record::{RECORD, RecordError};
+use crate::record::RecordError;
 use crate::{ForkOrigin, RunRecord, held_out, journal};
 
 /// The columns of the list, and the main ones, which a terminal has room for.
@@ -139,8 +140,7 @@ impl ListedRun {
 
 /// Describes a run directory; `None` if it is not one.
 fn row(path: &Path) -> Option<ListedRun> {
-    let is_run = [RECORD, "config.toml"].iter().any(|file| path.join(file).exists());
-    is_run.then(|| match RunRecord::read(path) {
+    is_run(path).then(|| match RunRecord::read(path) {
         Ok(record) => ListedRun::new(path, record),
         Err(error) => unreadable(path, &error),
     })
