@@ -2,7 +2,7 @@
 //!
 //! Each rule is an absence that ARCHITECTURE.md promises. They read the sources, the manifests and `cargo metadata`, so a rule
 //! that is broken is named with the file that breaks it. `house/` has how sources are read, and the rules that need more than a
-//! search: `circles` between files, what crates `reach`, and the `glossary`.
+//! search: `circles` between files, what crates `reach`, and what the `glossary` and other `pages` name.
 
 #[path = "house/circles.rs"]
 mod circles;
@@ -10,6 +10,8 @@ mod circles;
 mod code;
 #[path = "house/glossary.rs"]
 mod glossary;
+#[path = "house/pages.rs"]
+mod pages;
 #[path = "house/reach.rs"]
 mod reach;
 

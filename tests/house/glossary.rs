@@ -56,7 +56,7 @@ fn types_of(code: &str) -> impl Iterator<Item = &str> {
     code.lines().filter_map(type_name).chain(made)
 }
 
-fn words(text: &str) -> impl Iterator<Item = &str> {
+pub(crate) fn words(text: &str) -> impl Iterator<Item = &str> {
     text.split(|c: char| !c.is_alphanumeric() && c != '_').filter(|word| !word.is_empty())
 }
 
