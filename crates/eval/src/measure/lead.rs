@@ -1,6 +1,6 @@
 //! Lead time: how long before the hazard the first warning came.
 //!
-//! The hazard of an episode is what happens to the same person in the same world without any messages: the
+//! The hazard of an episode is what happens to the same listener in the same world without any messages: the
 //! first step in a danger zone, or the crash. So two notifiers are measured against the same moment, also where a
 //! warning has averted it.
 

@@ -5,11 +5,11 @@ const MEANINGS: [(&str, &str); 57] = [
     ("success", "share of episodes in which the task was done as it should be"),
     (
         "averted",
-        "share of episodes that succeed, of those in which the same person fails when nobody speaks",
+        "share of episodes that succeed, of those in which the same listener fails when nobody speaks",
     ),
     (
         "harmed",
-        "share of episodes that fail, of those in which the same person succeeds when nobody speaks",
+        "share of episodes that fail, of those in which the same listener succeeds when nobody speaks",
     ),
     ("notifications_per_step", "messages started, per step of the episode"),
     ("notifications", "messages started; ignored initiations are counted apart"),

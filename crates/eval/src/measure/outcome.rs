@@ -1,4 +1,4 @@
-//! What messages changed: success split by what the same person does alone in the same episode.
+//! What messages changed: success split by what the same listener does alone in the same episode.
 //!
 //! A success rate mixes two things that differ in worth. Where the listener would have failed, a success is a hazard
 //! averted; where they would have succeeded, a failure is harm done by speaking. On a road on which half of the drives
