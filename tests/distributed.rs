@@ -14,15 +14,15 @@ use leadtime_learner::{
     Build, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig, PolicyEvaluator,
     ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings};
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings, StartKey};
 use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec, PolicyVersion, Rollout,
-    RunName, RunSpec, Sequence, TaskSpec, codec,
+    ActorId, EnvId, EnvSpec, Header, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
+    RunSpec, Sequence, TaskSpec, codec,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -197,7 +197,7 @@ impl Learner {
     fn config(directory: &Path, mode: Mode, actors_min: usize, incarnation: u64) -> LearnerConfig {
         LearnerConfig {
             run: RunName::new("test").unwrap(),
-            incarnation: Incarnation(incarnation),
+            start: StartKey::numbered(incarnation),
             spec: run_spec(mode),
             settings: settings(mode),
             window: 4,
@@ -281,7 +281,9 @@ fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
 fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> ActorTask {
     let settings = ActorSettings {
         actor: ActorId::new(name).unwrap(),
-        incarnation: Incarnation(incarnation),
+        start: StartKey::numbered(
+            name.bytes().fold(1_000 + incarnation, |number, byte| 31 * number + u64::from(byte)),
+        ),
         run: None,
         connect: ConnectSettings::new(vec![endpoint(directory)]),
         reconnect_timeout: PATIENCE,
@@ -584,15 +586,19 @@ async fn a_run_that_another_build_goes_on_with_is_not_called_reproducible() {
     assert!(!begin("a", 3).report().await.reproducible, "nor ever again");
 }
 
+fn pretended() -> StartKey {
+    StartKey::numbered(2_000)
+}
+
 /// An actor that takes part in everything but the work.
 async fn pretender(directory: &Path, name: &str) -> (ActorLink, leadtime_link::Events<ActorEvent>) {
-    let (actor, incarnation) = (ActorId::new(name).unwrap(), Incarnation(1));
+    let (actor, start) = (ActorId::new(name).unwrap(), pretended());
     let settings = ConnectSettings::new(vec![endpoint(directory)]);
-    let (link, events) = ActorLink::open(&settings, &actor, incarnation).await.unwrap();
+    let (link, events) = ActorLink::open(&settings, &actor, &start).await.unwrap();
     let hello = Hello {
         program: "test".to_owned(),
         actor,
-        incarnation,
+        incarnation: start.incarnation(),
         cpu: "cpu".to_owned(),
         published: Sequence(0),
         first_unacknowledged: Sequence(1),
@@ -609,7 +615,7 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
     let (_link, inbox) = pretender(directory.path(), "mute").await;
     let follower = tokio::spawn(async move {
         while let Some(event) = inbox.recv().await {
-            if let ActorEvent::Control { control: Control::Assign(assignment), reply } = event {
+            if let ActorEvent::Control { control: Control::Assign(assignment), reply, .. } = event {
                 reply.reply(&ControlReply::Followed { epoch: assignment.epoch }).unwrap();
             }
         }
@@ -634,7 +640,7 @@ async fn poison(link: ActorLink, inbox: leadtime_link::Events<ActorEvent>) {
     let mut n_sent = None;
     while let Some(event) = inbox.recv().await {
         match event {
-            ActorEvent::Control { control: Control::Assign(assignment), reply } => {
+            ActorEvent::Control { control: Control::Assign(assignment), reply, .. } => {
                 let epoch = assignment.epoch;
                 reply.reply(&ControlReply::Followed { epoch }).unwrap();
                 let mut worker = Worker::new(spec.clone());
@@ -646,7 +652,7 @@ async fn poison(link: ActorLink, inbox: leadtime_link::Events<ActorEvent>) {
                 for (rollout, number) in rollouts.iter().zip(1..) {
                     let rollout = Rollout { snapshot: vec![1], ..rollout.clone() };
                     let payload = codec::encode(&rollout).unwrap();
-                    let plain = Header::plain(Schema::Rollout, Incarnation(1), &payload);
+                    let plain = Header::plain(Schema::Rollout, pretended().incarnation(), &payload);
                     let header = Header { sequence: Sequence(number), epoch, ..plain };
                     link.publish_rollout(&header, payload.into()).unwrap();
                     n_sent = Some(Sequence(number));

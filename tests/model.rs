@@ -17,7 +17,7 @@ use leadtime_learner::coordinator::{
 };
 use leadtime_learner::rollout_queue::RolloutQueue;
 use leadtime_learner::{Books, MembershipNumber, RunEvent};
-use leadtime_link::{ConnectSettings, Error as LinkError};
+use leadtime_link::{ConnectSettings, Error as LinkError, StartKey};
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::{MAX_COUNT, MAX_HEARD_EPOCH};
 use leadtime_proto::message::{
@@ -124,10 +124,10 @@ fn index(key: &ActorKey) -> usize {
     key.0.as_str()[1..].parse().unwrap()
 }
 
-fn settings(key: &ActorKey) -> ActorSettings {
+fn settings(actor: &ActorId, start: StartKey) -> ActorSettings {
     ActorSettings {
-        actor: key.0.clone(),
-        incarnation: key.1,
+        actor: actor.clone(),
+        start,
         run: None,
         connect: ConnectSettings::new(Vec::new()),
         reconnect_timeout: Duration::from_hours(24),
@@ -183,6 +183,8 @@ struct World {
     events: BTreeMap<(u64, u64), Arrival>,
     n_numbers: u64,
     learner: Option<LearnerModel>,
+    /// The keys of every start of an actor so far.
+    starts: BTreeMap<Incarnation, StartKey>,
     /// The newest checkpoint, with the rollouts that waited then.
     saved: (CoordinatorStart, u64),
     actors: Vec<Option<ActorModel>>,
@@ -207,6 +209,7 @@ impl World {
             events: BTreeMap::new(),
             n_numbers: 0,
             learner: None,
+            starts: BTreeMap::new(),
             saved: (start, 0),
             actors: Vec::new(),
             trained: Vec::new(),
@@ -386,9 +389,10 @@ impl World {
         orders.under_way = Some(number);
         let membership = orders.membership;
         let (control, key) = (orders.queue[0].clone(), to.clone());
+        let learner = self.learner_start().unwrap();
         self.send(move |w| {
             let deaf_until = w.alive(&key).map_or(0, |actor| actor.deaf_until);
-            let order = ActorInput::Order { control, reply: number };
+            let order = ActorInput::Order { learner, control, reply: number };
             w.at(deaf_until.saturating_sub(w.now), move |w| w.arrive(&key, order));
         });
         let key = to.clone();
@@ -486,7 +490,9 @@ impl World {
     }
 
     fn start_actor(&mut self, index: usize) {
-        let incarnation = Incarnation(self.number());
+        let start = StartKey::numbered(self.number());
+        let incarnation = start.incarnation();
+        self.starts.insert(incarnation, start);
         let (mute, poisonous) = (self.dice(6) == 0, self.dice(8) == 0);
         self.actors[index] = Some(ActorModel {
             incarnation,
@@ -520,8 +526,12 @@ impl World {
         self.at(later, move |w| w.arrive(&to, ActorInput::LearnerJoined(learner)));
     }
 
+    fn settings(&self, key: &ActorKey) -> ActorSettings {
+        settings(&key.0, self.starts[&key.1].clone())
+    }
+
     fn say_first_hello(&mut self, key: &ActorKey) {
-        let hello = Model::first_hello(&settings(key));
+        let hello = Model::first_hello(&self.settings(key));
         self.say_hello(key, hello, Duration::from_millis(HELLO_TIMEOUT));
     }
 
@@ -538,13 +548,14 @@ impl World {
 
     fn answered(&mut self, key: &ActorKey, number: u64, answer: Result<Welcome, LinkError>) {
         let now = self.zero + Duration::from_millis(self.now);
+        let settings = self.settings(key);
         let Some(model) = self.alive(key).filter(|model| model.hello == number) else { return };
         model.hello = 0;
         let is_known = model.actor.is_some();
         match answer {
             Ok(welcome) if is_known => self.act(key, ActorInput::Welcomed(Box::new(welcome))),
             Ok(welcome) => {
-                model.actor = Some(Actor::new(settings(key), welcome, now).unwrap());
+                model.actor = Some(Actor::new(settings, welcome, now).unwrap());
                 self.act(key, ActorInput::Tick);
             }
             Err(error) if is_known => self.act(key, ActorInput::NotWelcomed(Box::new(error))),
@@ -698,7 +709,7 @@ impl World {
         });
     }
 
-    /// Somebody else gives an actor an order, with a number beyond the learner's: nothing, or an environment from its
+    /// An actor gets an order that its learner did not give, with a number beyond the learner's: nothing, or an environment from its
     /// beginning.
     fn give_false_order(&mut self, key: &ActorKey) {
         let epoch = match self.dice(3) {
@@ -711,7 +722,8 @@ impl World {
         let assignment = Assignment { epoch: Epoch(epoch), envs, keep: Vec::new() };
         assignment.check().unwrap();
         let (control, reply) = (Control::Assign(assignment), self.number());
-        self.arrive(key, ActorInput::Order { control, reply });
+        let Some(learner) = self.learner_start() else { return };
+        self.arrive(key, ActorInput::Order { learner, control, reply });
     }
 
     /// From now on nothing goes wrong any more; whoever cannot or will not work is replaced.

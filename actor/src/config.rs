@@ -2,16 +2,16 @@
 
 use std::time::Duration;
 
-use leadtime_link::{ConnectSettings, RUN_IS_ENDING};
-use leadtime_proto::{ActorId, Incarnation, PolicyVersion, RunName, Sequence};
+use leadtime_link::{ConnectSettings, RUN_IS_ENDING, StartKey};
+use leadtime_proto::{ActorId, PolicyVersion, RunName, Sequence};
 
 /// Everything an actor needs before it meets a learner; the rest comes with the welcome.
 #[derive(Clone, Debug)]
 pub struct ActorSettings {
     /// The actor's name.
     pub actor: ActorId,
-    /// This start of the actor: a random number, drawn for every start.
-    pub incarnation: Incarnation,
+    /// The keys of this start of the actor, drawn for every start.
+    pub start: StartKey,
     /// The run to join; `None`: the only one at the address.
     pub run: Option<RunName>,
     /// Where to look for it, and for how long.

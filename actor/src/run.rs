@@ -107,7 +107,7 @@ pub async fn run_watched(
     stop: CancellationToken,
     sink: Box<dyn ActorSink>,
 ) -> Result<ActorReport, Error> {
-    let opened = ActorLink::open(&settings.connect, &settings.actor, settings.incarnation);
+    let opened = ActorLink::open(&settings.connect, &settings.actor, &settings.start);
     let (link, events) = tokio::select! {
         opened = opened => opened?,
         () = stop.cancelled() => return Err(Error::CancelledEarly),
@@ -178,7 +178,7 @@ impl Process {
         sink: Box<dyn ActorSink>,
     ) -> Result<Self, Error> {
         // What the learner says of the run is checked before anything is built by it.
-        let (incarnation, spec) = (settings.incarnation, welcome.spec.clone());
+        let (incarnation, spec) = (settings.start.incarnation(), welcome.spec.clone());
         let actor = Actor::new(settings, welcome, Instant::now())?;
         let builder = EnvBuilder::new(registry, &spec)?;
         let mut worker = CollectWorker::new(builder.clone(), incarnation);
@@ -468,7 +468,9 @@ async fn first_wake(
 
 fn from_network(event: ActorEvent) -> LiveInput {
     match event {
-        ActorEvent::Control { control, reply } => ActorInput::Order { control, reply },
+        ActorEvent::Control { learner, control, reply } => {
+            ActorInput::Order { learner, control, reply }
+        }
         ActorEvent::Credit(credit) => ActorInput::Credit(credit),
         ActorEvent::Announcement(news) => ActorInput::Announcement(news),
         ActorEvent::LearnerJoined(learner) => ActorInput::LearnerJoined(learner),

@@ -64,8 +64,10 @@ const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::fr
 /// Something that happened. `W`, `R` and `E` are what an [`Actor`] passes on without looking into it.
 #[derive(Debug)]
 pub enum ActorInput<W, R, E> {
-    /// The learner gives an order.
+    /// A learner gives an order.
     Order {
+        /// The start of the learner: anybody in the network may be one, and only our own is followed.
+        learner: Incarnation,
         /// The order.
         control: Control,
         /// Where to answer it.
@@ -241,7 +243,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
     pub fn new(settings: ActorSettings, welcome: Welcome, now: Instant) -> Result<Self, Error> {
         welcome.spec.check()?;
         let weights = WeightCache::new(welcome.spec.schedule, &welcome.weights);
-        let jitter = stream(welcome.spec.seed, Purpose::Greet, 0, settings.incarnation.0);
+        let jitter = stream(welcome.spec.seed, Purpose::Greet, 0, settings.start.incarnation().0);
         let mut actor = Self {
             settings,
             outbox: Outbox::default(),
@@ -284,7 +286,12 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         input: ActorInput<W, R, E>,
     ) -> Vec<ActorOutput<W, R, E>> {
         match input {
-            ActorInput::Order { control, reply } => self.order(control, reply),
+            // Another's ends without an answer, as if nobody were here.
+            ActorInput::Order { learner, control, reply } => {
+                if learner == self.learner() {
+                    self.order(control, reply);
+                }
+            }
             ActorInput::Credit(credit) => self.credit(now, credit),
             ActorInput::Announcement(news) => {
                 if news.learner == self.learner() {
@@ -714,7 +721,7 @@ fn compose_hello(settings: &ActorSettings, outbox: &Outbox) -> Hello {
     Hello {
         program: settings.program.clone(),
         actor: settings.actor.clone(),
-        incarnation: settings.incarnation,
+        incarnation: settings.start.incarnation(),
         cpu: settings.cpu.clone(),
         published: outbox.made,
         first_unacknowledged: outbox.acknowledged.next(),

@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use leadtime_link::ListenSettings;
+use leadtime_link::{ListenSettings, StartKey};
 use leadtime_ppo::LearnerSettings;
 use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
-use leadtime_proto::{Incarnation, RunName, RunSpec};
+use leadtime_proto::{RunName, RunSpec};
 
 use crate::builds::{Build, Builds};
 
@@ -16,8 +16,8 @@ use crate::builds::{Build, Builds};
 pub struct LearnerConfig {
     /// Name of the run, which is part of every key.
     pub run: RunName,
-    /// This start of the learner: a random number, drawn for every start.
-    pub incarnation: Incarnation,
+    /// The keys of this start of the learner, drawn for every start.
+    pub start: StartKey,
     /// What is computed, and how; its steps and schedule are those of `settings`.
     pub spec: RunSpec,
     /// How to train: loss, optimiser, batches and schedule.

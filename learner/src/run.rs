@@ -105,8 +105,7 @@ pub async fn run(
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
     let (mut link, events) =
-        LearnerLink::open(&config.run, &config.spec.task.domain, config.incarnation, &listen)
-            .await?;
+        LearnerLink::open(&config.run, &config.spec.task.domain, &config.start, &listen).await?;
     if let Some(archive) = sink.archive() {
         link.answer_observers(archive)?;
     }
@@ -167,13 +166,13 @@ impl RunLoop {
         let mut phases = PhaseClock::start();
         for (version, weights) in offered {
             let offer = Timed::measure(|| link.offer_weights(version, weights));
-            phases.offered(sink.as_mut(), config.incarnation.0, version, &offer);
+            phases.offered(sink.as_mut(), config.start.incarnation().0, version, &offer);
             offer.value?;
         }
         let link = Arc::new(link);
         let now = Instant::now();
         let settings = CoordinatorSettings {
-            learner: config.incarnation,
+            learner: config.start.incarnation(),
             spec: config.spec.clone(),
             window: config.window,
             actors_min: config.actors_min,
@@ -408,7 +407,7 @@ impl RunLoop {
         self.coordinator.trained(updated.version);
         self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
         self.link.retire_weights(self.oldest_needed());
-        let (learner, offer) = (self.config.incarnation.0, Timed::since(started, ()));
+        let (learner, offer) = (self.config.start.incarnation().0, Timed::since(started, ()));
         self.phases.offered(self.sink.as_mut(), learner, updated.version, &offer);
         let ends = updated.rollouts.iter().flat_map(|rollout| &rollout.ends);
         self.record.episodes.extend(&self.config.spec.env, ends.map(|end| &end.summary));

@@ -12,11 +12,10 @@
 use crate::refusal::{Refusal, RefusalCause};
 use crate::{Epoch, Incarnation, PolicyVersion, Sequence};
 
-/// The version of everything in this crate that crosses a process boundary.
-pub const PROTOCOL_VERSION: u32 = 5;
 /// The version of everything in this crate that crosses a process boundary. It rises with every change of a field, its
 /// type or its place: the codec writes neither names nor tags, so messages of another release would decode into wrong
 /// values.
+pub const PROTOCOL_VERSION: u32 = 6;
 const MAGIC: [u8; 4] = *b"LDTM";
 /// Length of an encoded header.
 pub const HEADER_BYTES: usize = 48;
@@ -60,7 +59,7 @@ pub struct Header {
     pub checksum: u32,
     /// Start of the sending process.
     pub incarnation: Incarnation,
-    /// The sender's count of rollouts; 0 in other messages.
+    /// The sender's count of rollouts, or of hellos; 0 in other messages.
     pub sequence: Sequence,
     /// The assignment under which a rollout was made; 0 in other messages.
     pub epoch: Epoch,
@@ -174,6 +173,6 @@ mod tests {
             assert_eq!((refusal.cause, refusal.sender), (cause, None));
         }
         let told = Header::from_bytes(&changed(12, 200)).unwrap_err().to_string();
-        assert!(told.contains("protocol 200, its receiver speaks 5"), "{told}");
+        assert!(told.contains("protocol 200, its receiver speaks 6"), "{told}");
     }
 }

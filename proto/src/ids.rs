@@ -50,7 +50,8 @@ counter! {
     Sequence(u64)
 }
 counter! {
-    /// Distinguishes one start of a process from the next start under the same id; drawn anew at every start.
+    /// Distinguishes one start of a process from the next start under the same id; drawn anew at every start. Those of
+    /// learners and actors are digests of a key, so that a message can prove which start it comes from.
     Incarnation(u64)
 }
 

@@ -94,8 +94,10 @@ causes! {
     EpisodeEnd = "episode_end",
     /// No snapshot, or one over the limit.
     Snapshot = "snapshot",
-    /// A number that no environment and no policy comes to. Last, because checkpoints hold causes by their order.
+    /// A number that no environment and no policy comes to.
     Magnitude = "magnitude",
+    /// A message that does not prove which process it comes from. Last, because checkpoints hold causes by their order.
+    Proof = "proof",
 }
 
 impl fmt::Display for RefusalCause {

@@ -2,10 +2,10 @@
 
 use crate::support::{PATIENCE, Place, SOON, fake_actor, signal};
 use leadtime_link::{
-    ActorEvent, Error, Events, LearnerEvent, LearnerLink, ListenSettings, RUN_IS_ENDING,
+    ActorEvent, Error, Events, LearnerEvent, LearnerLink, ListenSettings, RUN_IS_ENDING, StartKey,
 };
+use leadtime_proto::RunName;
 use leadtime_proto::message::{Control, ControlReply, HelloReply};
-use leadtime_proto::{Incarnation, RunName};
 
 /// Waits until the learner sends an actor away; returns the order, which is not answered as long as that is kept.
 async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
@@ -16,7 +16,7 @@ async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
                     return event;
                 }
                 // One order at a time, and the first gives it environments.
-                ActorEvent::Control { control: Control::Assign(given), reply } => {
+                ActorEvent::Control { control: Control::Assign(given), reply, .. } => {
                     reply.reply(&ControlReply::Followed { epoch: given.epoch }).unwrap();
                 }
                 _ => {}
@@ -51,7 +51,7 @@ async fn an_actor_that_comes_late_ends_well() {
     let listen = ListenSettings::new(vec![endpoint.parse().unwrap()]);
     let run = RunName::new("r").unwrap();
     let (_learner, events) =
-        LearnerLink::open(&run, "cartpole", Incarnation(1), &listen).await.unwrap();
+        LearnerLink::open(&run, "cartpole", &StartKey::numbered(1), &listen).await.unwrap();
     let answering = tokio::spawn(async move {
         while let Ok(event) = events.recv_async().await {
             if let LearnerEvent::Hello { reply, .. } = event {

@@ -9,9 +9,9 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events};
+use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events, StartKey};
 use leadtime_proto::message::Hello;
-use leadtime_proto::{ActorId, Incarnation, Sequence};
+use leadtime_proto::{ActorId, Sequence};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -315,15 +315,16 @@ pub(crate) async fn fake_actor(
     endpoint: &Endpoint,
     name: &str,
 ) -> (ActorLink, Events<ActorEvent>, Hello) {
-    let (actor, incarnation) = (ActorId::new(name).expect("it is a name"), Incarnation(7));
+    let (actor, start) =
+        (ActorId::new(name).expect("it is a name"), StartKey::draw().expect("random bytes"));
     let settings =
         ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
-    let opened = ActorLink::open(&settings, &actor, incarnation).await;
+    let opened = ActorLink::open(&settings, &actor, &start).await;
     let (link, events) = opened.expect("the learner listens");
     let hello = Hello {
         program: "test".to_owned(),
         actor,
-        incarnation,
+        incarnation: start.incarnation(),
         cpu: "cpu".to_owned(),
         published: Sequence(0),
         first_unacknowledged: Sequence(1),

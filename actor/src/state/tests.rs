@@ -1,7 +1,7 @@
 //! An actor's decisions, without a network.
 
 use bytes::Bytes;
-use leadtime_link::ConnectSettings;
+use leadtime_link::{ConnectSettings, StartKey};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
@@ -51,7 +51,7 @@ impl Bench {
     fn new(versions: std::ops::RangeInclusive<u64>) -> Self {
         let settings = ActorSettings {
             actor: ActorId::new("a").unwrap(),
-            incarnation: Incarnation(1),
+            start: StartKey::numbered(1),
             run: None,
             connect: ConnectSettings::new(Vec::new()),
             reconnect_timeout: PATIENCE,
@@ -85,7 +85,8 @@ impl Bench {
             |&id| EnvAssignment { env_id: EnvId(id), iteration: Iteration(0), snapshot: vec![1] };
         let envs = envs.iter().map(env).collect();
         let assignment = Assignment { epoch: Epoch(epoch), envs, keep: Vec::new() };
-        self.give(ActorInput::Order { control: Control::Assign(assignment), reply })
+        let (learner, control) = (self.actor.learner(), Control::Assign(assignment));
+        self.give(ActorInput::Order { learner, control, reply })
     }
 
     /// Has an assignment restored and adopted; the next rollout is of this iteration.
@@ -283,7 +284,9 @@ fn who_is_refused_dismissed_or_cut_off_leaves() {
     for cut_off in [false, true] {
         let mut bench = Bench::new(0..=0);
         let control = Control::Stop { reason: "enough".to_owned(), cut_off };
-        let told = bench.give(ActorInput::Order { control, reply: 1 });
+        let order = |learner| ActorInput::Order { learner, control: control.clone(), reply: 1 };
+        assert!(bench.give(order(Incarnation(101))).is_empty(), "another's");
+        let told = bench.give(order(LEARNER));
         assert_eq!(names(&told), ["reply", "end"]);
         let Some(ActorOutput::End(end)) = told.last() else { panic!() };
         assert_eq!(end.is_err(), cut_off);
@@ -361,7 +364,7 @@ fn a_hello_that_is_not_answered_may_take_longer_the_next_time_and_no_two_actors_
     let hellos = |incarnation: u64| {
         let mut bench = Bench::new(0..=0);
         let mut settings = bench.actor.settings.clone();
-        settings.incarnation = Incarnation(incarnation);
+        settings.start = StartKey::numbered(incarnation);
         bench.actor = Actor::new(settings, welcome(LEARNER, 0..=0), bench.now).unwrap();
         let mut told = bench.give(ActorInput::LearnerLeft(LEARNER));
         let mut hellos = Vec::new();

@@ -9,20 +9,21 @@
 //! alone for long ── another connection, and the same from the hello on
 //! ```
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
-use leadtime_proto::message::{Announcement, Control, Credit, Hello, HelloReply, Welcome};
-use leadtime_proto::receive::{ANNOUNCEMENT, CONTROL, CREDIT, HELLO_REPLY};
+use leadtime_proto::message::{Control, Credit, Hello, HelloReply, Welcome};
+use leadtime_proto::receive::{CONTROL, CREDIT, HELLO_REPLY};
 use leadtime_proto::{
-    ActorId, DomainName, Header, Incarnation, PolicyVersion, RegionName, RunName,
+    ActorId, DomainName, Header, PolicyVersion, RefusalCause, RegionName, RunName, Sequence,
 };
 use tracing::{debug, info, warn};
 use zenoh::Wait as _;
-use zenoh::bytes::Encoding;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
@@ -37,9 +38,10 @@ use crate::event::ActorEvent;
 use crate::keys::{INCARNATION, Key, Keys, Member};
 use crate::latest::{Events, Latest};
 use crate::lock::lock;
+use crate::proof::{self, Keyring, PeerKey, StartKey};
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, ControlResponder, Error, Result, session, wire};
+use crate::{ConnectSettings, ControlResponder, Error, Result, session, weights, wire};
 
 /// Threads that answer orders; there is one learner to answer.
 const N_ANSWERING: usize = 1;
@@ -92,7 +94,11 @@ pub struct ActorLink {
     settings: ConnectSettings,
     relay: Option<RelayOfRegion>,
     actor: ActorId,
-    incarnation: Incarnation,
+    keys: Arc<Keyring>,
+    /// Counts hellos, so that a copy of one is known.
+    n_hellos: AtomicU64,
+    /// What is shared with the learner that welcomed this actor last.
+    learner: Mutex<Option<Arc<PeerKey>>>,
     events: EventQueue<ActorEvent>,
     presence: EventQueue<ActorEvent>,
     latest: Arc<Latest<ActorEvent>>,
@@ -114,7 +120,7 @@ impl ActorLink {
     pub async fn open(
         settings: &ConnectSettings,
         actor: &ActorId,
-        incarnation: Incarnation,
+        start: &StartKey,
     ) -> Result<(Self, Events<ActorEvent>)> {
         let session = session::connect(settings).await?;
         let (events, latest, mut receiver) = Events::new(0);
@@ -126,7 +132,9 @@ impl ActorLink {
                 .clone()
                 .map(|region| RelayOfRegion { region, rests_until: Mutex::default() }),
             actor: actor.clone(),
-            incarnation,
+            keys: Arc::new(Keyring::new(start.clone())),
+            n_hellos: AtomicU64::new(0),
+            learner: Mutex::default(),
             events,
             presence: receiver.part_presence(),
             latest,
@@ -171,7 +179,8 @@ impl ActorLink {
             }
             self.join(&run)?;
             let key = Key::Hello(&run).to_string();
-            let (header, payload) = wire::seal(Schema::Hello, self.incarnation, hello)?;
+            let number = Sequence(self.n_hellos.fetch_add(1, Ordering::Relaxed) + 1);
+            let (header, payload) = wire::sign(Schema::Hello, &self.keys.own, number, hello)?;
             let question = Inquiry {
                 key: key.clone(),
                 parameters: String::new(),
@@ -180,15 +189,16 @@ impl ActorLink {
                 qos: wire::CONTROL,
                 timeout: timeout.saturating_sub(started.elapsed()).min(HELLO_WAIT),
             };
-            match ask_for(&self.session(), question, HELLO_REPLY).await? {
+            let anyone = |_| true;
+            match ask_for(&self.session(), question, HELLO_REPLY, &self.keys, anyone).await? {
                 // The presence of a killed actor lasts a moment longer than the actor.
-                InquiryEnd::Good(HelloReply::Taken)
+                InquiryEnd::Good((_, HelloReply::Taken))
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
                 {
                     unheard = None;
                     tokio::time::sleep(RETRY.1).await;
                 }
-                InquiryEnd::Good(reply) => return self.answered(run, reply),
+                InquiryEnd::Good((learner, reply)) => return self.answered(run, learner, reply),
                 InquiryEnd::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
                 }
@@ -268,7 +278,7 @@ impl ActorLink {
 
     /// Publishes a rollout. It blocks while the network is busy: call it from a thread of its own, never from a task.
     ///
-    /// Header and payload travel as they are; checking them is the learner's.
+    /// Header and payload travel as they are, with a proof for the learner; checking them is the learner's.
     ///
     /// # Errors
     ///
@@ -276,12 +286,19 @@ impl ActorLink {
     /// [`Error::Network`].
     pub fn publish_rollout(&self, header: &Header, payload: Bytes) -> Result<()> {
         let entered = self.entered()?;
+        let learner = lock(&self.learner).clone();
+        let learner = learner.ok_or_else(|| Error::NotInARun(self.actor.clone()))?;
         let key = entered.rollouts.key_expr().as_str();
         if payload.len() > 2 * MAX_ROLLOUT_BYTES {
             let (found, limit) = (payload.len(), MAX_ROLLOUT_BYTES);
             return Err(Error::TooLarge { key: key.to_owned(), found, limit });
         }
-        let put = entered.rollouts.put(payload).attachment(header.to_bytes());
+        let proof = learner.prove(header, &payload);
+        // Two pieces: the rollout is not copied to stand in front of its proof.
+        let mut whole = ZBytes::writer();
+        whole.append(ZBytes::from(payload));
+        whole.append(ZBytes::from(proof.as_slice()));
+        let put = entered.rollouts.put(whole.finish()).attachment(header.to_bytes());
         put.wait().map_err(Error::network("publish on", key))
     }
 
@@ -293,7 +310,8 @@ impl ActorLink {
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
         let entered = self.entered()?;
         let member = Member::Actor(self.actor.clone());
-        pubsub::put_metrics(&self.session(), &entered.run, &member, self.incarnation, json)
+        let start = self.keys.own.incarnation();
+        pubsub::put_metrics(&self.session(), &entered.run, &member, start, json)
     }
 
     /// Checks that the connection is open. Call it regularly: no event reports that it has closed.
@@ -382,19 +400,26 @@ impl ActorLink {
         // Leave another run before, so that its learner does not count on this actor.
         *joined = None;
         *lock(&self.entered) = None;
-        let (session, incarnation) = (&self.session(), self.incarnation);
+        let (session, incarnation) = (&self.session(), self.keys.own.incarnation());
         let (events, answers) = (self.events.clone(), self.answers.clone());
+        let keys = Arc::clone(&self.keys);
         let orders = take_questions(session, Key::Control(run, &self.actor), move |query| {
-            on_order(&events, &answers, incarnation, query);
+            on_order(&events, &answers, &keys, query);
         })?;
-        let latest = Arc::clone(&self.latest);
+        let (latest, keys) = (Arc::clone(&self.latest), Arc::clone(&self.keys));
         let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
-            match wire::unseal::<Credit>(sample.attachment(), Some(sample.payload()), CREDIT) {
-                Ok(credit) if credit.incarnation == incarnation => {
+            let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
+            match wire::unseal::<Credit>(attachment, payload, CREDIT, &keys) {
+                Ok((learner, credit))
+                    if credit.incarnation == incarnation && credit.learner == learner.peer =>
+                {
                     latest.put(&format!("credit/{}", credit.learner), ActorEvent::Credit(credit));
                 }
-                // An earlier start of this actor may still be credited; that is not for us.
-                Ok(_) => {}
+                Ok(_) => debug!("credit of another learner, or for another start of this actor"),
+                // What is for an earlier start of this actor cannot be checked by this one.
+                Err(refusal) if refusal.cause == RefusalCause::Proof => {
+                    debug!(%refusal, "credit refused")
+                }
                 Err(refusal) => warn!(%refusal, "credit refused"),
             }
         })?;
@@ -418,7 +443,7 @@ impl ActorLink {
         Ok(())
     }
 
-    fn answered(&self, run: RunName, reply: HelloReply) -> Result<Welcome> {
+    fn answered(&self, run: RunName, learner: Arc<PeerKey>, reply: HelloReply) -> Result<Welcome> {
         match reply {
             HelloReply::Refused { reason } if reason == RUN_IS_ENDING => Err(Error::Ending { run }),
             HelloReply::Refused { reason } => {
@@ -427,7 +452,12 @@ impl ActorLink {
             }
             HelloReply::Taken => Err(Error::Taken(self.actor.clone())),
             HelloReply::Welcome(welcome) => {
+                if welcome.weights.learner != learner.peer {
+                    let (key, source) = (Key::Hello(&run).to_string(), proof::refused());
+                    return Err(Error::BadAnswer { key, source });
+                }
                 self.enter(run, DomainName::new(welcome.spec.task.domain.clone())?)?;
+                *lock(&self.learner) = Some(learner);
                 Ok(*welcome)
             }
         }
@@ -443,40 +473,34 @@ impl ActorLink {
         let session = &self.session();
         let rollouts = pubsub::publisher(session, key, wire::BULK, Encoding::default())?;
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
-        let announcements = subscribe(session, key, move |sample| {
-            let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
-            match wire::unseal::<Announcement>(attachment, payload, ANNOUNCEMENT) {
+        let announcements =
+            subscribe(session, key, move |sample| match weights::read_announcement(&sample) {
                 Ok(news) => {
                     let key = format!("weights/{}", news.learner);
                     latest.put(&key, ActorEvent::Announcement(news));
                 }
                 Err(refusal) => warn!(%refusal, "announcement refused"),
-            }
-        })?;
+            })?;
         *entered =
             Some(Arc::new(Membership { run, domain, rollouts, _announcements: announcements }));
         Ok(())
     }
 }
 
-fn on_order(
-    events: &EventQueue<ActorEvent>,
-    answers: &Answers,
-    incarnation: Incarnation,
-    mut query: Query,
-) {
+fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, mut query: Query) {
     let say_no = |query, reason| answers.give(PendingReply::Refusal(query, reason));
     let meant_for = query.parameters().get(INCARNATION).and_then(|text| text.parse().ok());
-    if meant_for != Some(incarnation.0) {
+    if meant_for != Some(keys.own.incarnation().0) {
         return say_no(query, "another start of this actor is meant".to_owned());
     }
-    let order = wire::unseal::<Control>(query.attachment(), query.payload(), CONTROL);
+    let order = wire::unseal::<Control>(query.attachment(), query.payload(), CONTROL, keys);
     unload(&mut query);
-    match order.and_then(|order| order.check().map(|()| order)) {
-        Ok(control) => {
-            let reply = ControlResponder::new(query, answers, Schema::ControlReply, incarnation);
+    match order.and_then(|(key, order)| order.check().map(|()| (key, order))) {
+        Ok((key, control)) => {
+            let learner = key.peer;
+            let reply = ControlResponder::new(query, answers, Schema::ControlReply, key);
             // An order that does not fit ends without an answer; the learner gives it again.
-            drop(events.offer(ActorEvent::Control { control, reply }, Class::Request));
+            drop(events.offer(ActorEvent::Control { learner, control, reply }, Class::Request));
         }
         Err(refusal) => {
             warn!(%refusal, "order refused");
@@ -505,7 +529,7 @@ mod tests {
         assert!(!session::has_peer(&actor.session()).await, "not yet");
 
         *lock(&actor.alone) = Instant::now().checked_sub(STRANDED);
-        say_hello(&actor, "a", ACTOR, &events).await;
+        say_hello(&actor, "a", &events).await;
         until(&actor_events, |event| {
             matches!(event, ActorEvent::LearnerJoined(LEARNER)).then_some(())
         })
@@ -513,7 +537,7 @@ mod tests {
         actor.health().unwrap();
         learner.offer_weights(PolicyVersion(1), b"newer".as_slice().into()).unwrap();
         assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"newer");
-        let (header, payload) = rollout(1);
+        let (header, payload) = rollout("a", 1);
         actor.publish_rollout(&header, payload).unwrap();
         assert_eq!(next_rollout(&events).await.1, header);
 

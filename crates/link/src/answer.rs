@@ -9,15 +9,17 @@ use std::sync::Arc;
 use std::thread;
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{ControlReply, HelloReply};
-use leadtime_proto::{Header, Incarnation};
+use leadtime_proto::message::{ControlReply, Hello, HelloReply};
+use leadtime_proto::{ActorId, Header, Incarnation};
 use serde::Serialize;
 use tracing::debug;
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 
+use crate::intake::Admitted;
 use crate::keys::VERSION;
+use crate::proof::PeerKey;
 use crate::weights::WeightStore;
 use crate::{Error, Result, wire};
 
@@ -110,24 +112,50 @@ pub struct Responder<T> {
     query: Option<Query>,
     answers: Answers,
     schema: Schema,
-    incarnation: Incarnation,
+    /// Shared with who asks.
+    key: Arc<PeerKey>,
     answer: PhantomData<fn(T)>,
 }
 
 /// The learner's answer to a hello.
-pub type HelloResponder = Responder<HelloReply>;
+#[derive(Debug)]
+pub struct HelloResponder {
+    reply: Responder<HelloReply>,
+    admitted: Arc<Admitted>,
+    actor: ActorId,
+    start: Incarnation,
+}
+
+impl HelloResponder {
+    pub(crate) fn new(
+        reply: Responder<HelloReply>,
+        admitted: &Arc<Admitted>,
+        hello: &Hello,
+    ) -> Self {
+        let (admitted, actor) = (Arc::clone(admitted), hello.actor.clone());
+        Self { reply, admitted, actor, start: hello.incarnation }
+    }
+
+    /// Gives the answer; the rollouts of whoever is welcome are taken from then on.
+    ///
+    /// # Errors
+    ///
+    /// [`crate::Error::Codec`] if it cannot be encoded.
+    pub fn reply(self, answer: &HelloReply) -> Result<()> {
+        if matches!(answer, HelloReply::Welcome(_)) {
+            self.admitted.insert(self.actor, self.start);
+        }
+        self.reply.reply(answer)
+    }
+}
+
 /// An actor's answer to an order.
 pub type ControlResponder = Responder<ControlReply>;
 
 impl<T: Serialize> Responder<T> {
-    pub(crate) fn new(
-        query: Query,
-        answers: &Answers,
-        schema: Schema,
-        incarnation: Incarnation,
-    ) -> Self {
+    pub(crate) fn new(query: Query, answers: &Answers, schema: Schema, key: Arc<PeerKey>) -> Self {
         let (query, answers) = (Some(query), answers.clone());
-        Self { query, answers, schema, incarnation, answer: PhantomData }
+        Self { query, answers, schema, key, answer: PhantomData }
     }
 
     /// Gives the answer.
@@ -136,7 +164,7 @@ impl<T: Serialize> Responder<T> {
     ///
     /// [`crate::Error::Codec`] if it cannot be encoded.
     pub fn reply(mut self, answer: &T) -> Result<()> {
-        let (header, payload) = wire::seal(self.schema, self.incarnation, answer)?;
+        let (header, payload) = wire::seal(self.schema, &self.key, answer)?;
         if let Some(query) = self.query.take() {
             self.answers.give(PendingReply::Message(query, header, payload.into()));
         }

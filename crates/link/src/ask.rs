@@ -1,5 +1,6 @@
 //! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
@@ -14,6 +15,7 @@ use zenoh::sample::Sample;
 use zenoh::session::Session;
 
 use crate::keys::{self, Key, Keys, SHA256, VERSION};
+use crate::proof::{self, Keyring, PeerKey};
 use crate::wire::{self, Qos};
 use crate::{Error, Result};
 
@@ -66,17 +68,23 @@ pub(crate) enum InquiryEnd<T> {
     TimedOut,
 }
 
-/// Asks everyone at the key for a message.
+/// Asks everyone at the key for a message, and returns the first that proves to come from a start that will do.
 pub(crate) async fn ask_for<T: DeserializeOwned>(
     session: &Session,
     question: Inquiry,
     expected: Expected,
-) -> Result<InquiryEnd<T>> {
+    keys: &Keyring,
+    will_do: impl Fn(Incarnation) -> bool,
+) -> Result<InquiryEnd<(Arc<PeerKey>, T)>> {
     let key = question.key.clone();
-    let read = |sample: &Sample| {
-        wire::unseal(sample.attachment(), Some(sample.payload()), expected)
-            .map_err(|source| Error::BadAnswer { key: key.clone(), source })
-    };
+    let read =
+        |sample: &Sample| {
+            wire::unseal(sample.attachment(), Some(sample.payload()), expected, keys)
+                .and_then(|(peer, message)| {
+                    if will_do(peer.peer) { Ok((peer, message)) } else { Err(proof::refused()) }
+                })
+                .map_err(|source| Error::BadAnswer { key: key.clone(), source })
+        };
     ask(session, question, read).await
 }
 

@@ -270,6 +270,9 @@ pub enum Error {
     /// A thread that serves the network could not be started.
     #[error("cannot start a thread for the network")]
     Thread(#[source] std::io::Error),
+    /// The operating system gives no random bytes.
+    #[error("the operating system gives no random bytes for the keys of this process")]
+    Random(#[source] getrandom::Error),
     /// The network library failed to do this in one of its own threads, or could not start one.
     #[error(
         "the network library failed to {0}; are there too few threads or memory for this process?"

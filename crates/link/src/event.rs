@@ -48,8 +48,10 @@ pub enum LearnerEvent {
 /// What happens to an actor.
 #[derive(Debug)]
 pub enum ActorEvent {
-    /// The learner gives an order.
+    /// A learner gives an order.
     Control {
+        /// The start of the learner that gave it: anybody may be one, so it is for the actor to know its own.
+        learner: Incarnation,
         /// The order.
         control: Control,
         /// Where to answer it.

@@ -21,12 +21,13 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 
 use leadtime_proto::receive::ROLLOUT;
-use leadtime_proto::{ActorId, Incarnation, Refusal, RefusalCause};
+use leadtime_proto::{ActorId, Header, Incarnation, Refusal, RefusalCause};
 use zenoh::sample::Sample;
 
 use crate::event::{LearnerEvent, Payload, QueuePermit, QueueUsage};
 use crate::keys;
 use crate::lock::lock;
+use crate::proof::{Keyring, StartKey, TAG_PROOF_BYTES};
 use crate::queue::{Class, EventQueue};
 use crate::session::ListenSettings;
 use crate::wire;
@@ -43,9 +44,34 @@ pub type RefusalCounts = BTreeMap<(Option<ActorId>, RefusalCause), u64>;
 /// coordinator.
 const MAX_CUT_OFF: usize = 1_024;
 
+/// The starts of actors that were made welcome and are still there: only theirs are the places of their names.
+#[derive(Debug, Default)]
+pub(crate) struct Admitted(Mutex<BTreeMap<ActorId, Incarnation>>);
+
+impl Admitted {
+    /// Admits a start of an actor instead of any earlier one.
+    pub(crate) fn insert(&self, actor: ActorId, start: Incarnation) {
+        lock(&self.0).insert(actor, start);
+    }
+
+    /// Forgets a start that is gone.
+    pub(crate) fn remove(&self, actor: &ActorId, start: Incarnation) {
+        let mut admitted = lock(&self.0);
+        if admitted.get(actor) == Some(&start) {
+            admitted.remove(actor);
+        }
+    }
+
+    fn contains(&self, actor: &ActorId, start: Incarnation) -> bool {
+        lock(&self.0).get(actor) == Some(&start)
+    }
+}
+
 /// Admits messages from the network's callback to the event queue.
 #[derive(Debug)]
 pub(crate) struct RolloutIntake {
+    pub(crate) keys: Keyring,
+    pub(crate) admitted: Arc<Admitted>,
     pub(crate) events: EventQueue<LearnerEvent>,
     per_actor: usize,
     max_actors: usize,
@@ -59,12 +85,17 @@ pub(crate) struct RolloutIntake {
 }
 
 impl RolloutIntake {
-    pub(crate) fn new(settings: &ListenSettings) -> (Self, flume::Receiver<LearnerEvent>) {
+    pub(crate) fn new(
+        settings: &ListenSettings,
+        own: StartKey,
+    ) -> (Self, flume::Receiver<LearnerEvent>) {
         let per_actor = settings.rollouts_per_actor;
         let n_bulk = per_actor.saturating_mul(settings.max_actors) + REFUSAL_PLACES;
         let (events, receiver) = EventQueue::new(n_bulk);
         let half = settings.max_queued_bytes / 2;
         let intake = Self {
+            keys: Keyring::new(own),
+            admitted: Arc::default(),
             events,
             per_actor,
             max_actors: settings.max_actors,
@@ -83,24 +114,44 @@ impl RolloutIntake {
         let Some(actor) = keys::parse_rollouts(sample.key_expr()) else {
             return self.refuse(None, malformed_key());
         };
-        let checked = wire::inspect(sample.attachment(), Some(sample.payload()), ROLLOUT);
-        let header = match checked {
-            Ok(header) => header,
-            Err(refusal) => return self.refuse(Some(actor), refusal),
+        let message = sample.payload().to_bytes();
+        let (header, body) = match self.prove(&actor, sample, &message) {
+            Ok(proved) => proved,
+            // Whatever number its header has: nothing is proved, so nobody is blamed.
+            Err(refusal) => {
+                return self.refuse(Some(actor), Refusal { sender: None, ..refusal });
+            }
         };
         if lock(&self.cut_off).contains(&(actor.clone(), header.incarnation)) {
             return self.count(Some(actor), RefusalCause::CutOff);
         }
-        let Some(permit) = self.permit(Some(&actor), sample.payload().len()) else {
+        let Some(permit) = self.permit(Some(&actor), body.len()) else {
             return self.count(Some(actor), RefusalCause::Overflow);
         };
         // Copied on purpose: the network's buffer is shared with whatever arrived together with this message, so
         // keeping a small rollout could keep much more than the bytes that its sender is billed for.
-        let payload = Payload::new(sample.payload().to_bytes().into_owned(), permit);
+        let payload = Payload::new(body.to_vec(), permit);
         let event = LearnerEvent::Rollout { actor, header, payload };
         if let Some(LearnerEvent::Rollout { actor, .. }) = self.events.offer(event, Class::Bulk) {
             self.count(Some(actor), RefusalCause::Overflow);
         }
+    }
+
+    /// Checks that a rollout comes from the welcome start of the actor in its key; returns its header and its body.
+    fn prove<'a>(
+        &self,
+        actor: &ActorId,
+        sample: &Sample,
+        message: &'a [u8],
+    ) -> Result<(Header, &'a [u8]), Refusal> {
+        let expected = wire::with_proof(ROLLOUT, TAG_PROOF_BYTES);
+        let header = wire::inspect(sample.attachment(), Some(sample.payload()), expected)?;
+        if !self.admitted.contains(actor, header.incarnation) {
+            let text = "rollout of an actor that is not welcome here (yet)";
+            return Err(Refusal::new(RefusalCause::Stranger, text));
+        }
+        let (_, body) = self.keys.check(&header, message)?;
+        Ok((header, body))
     }
 
     /// Reports a refusal as an event as long as its sender has room for one, and counts it otherwise.
@@ -192,7 +243,7 @@ mod tests {
             max_queued_bytes: 200,
             ..ListenSettings::new(Vec::new())
         };
-        RolloutIntake::new(&settings)
+        RolloutIntake::new(&settings, StartKey::numbered(1))
     }
 
     fn actor(id: &str) -> ActorId {

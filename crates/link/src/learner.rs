@@ -18,12 +18,13 @@ use zenoh::query::{Query, Queryable};
 use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
-use crate::answer::{Answers, PendingReply, unload};
+use crate::answer::{Answers, PendingReply, Responder, unload};
 use crate::archive::{self, Archive};
 use crate::ask::{Inquiry, InquiryEnd, ask_for};
 use crate::event::LearnerEvent;
 use crate::intake::{RefusalCounts, RolloutIntake, malformed_key};
 use crate::keys::{Alive, INCARNATION, Key, Keys, Member};
+use crate::proof::{self, StartKey};
 use crate::pubsub::{appear, publisher, put, put_metrics, subscribe, take_questions, watch};
 use crate::queue::Class;
 use crate::weights::{self, WeightStore};
@@ -67,14 +68,14 @@ impl LearnerLink {
     pub async fn open(
         run: &RunName,
         domain: &str,
-        incarnation: Incarnation,
+        start: &StartKey,
         settings: &ListenSettings,
     ) -> Result<(Self, flume::Receiver<LearnerEvent>)> {
-        let domain = DomainName::new(domain)?;
+        let (domain, incarnation) = (DomainName::new(domain)?, start.incarnation());
         let session = session::listen(settings).await?;
         let locators = session.info().locators().await;
-        let (intake, events) = RolloutIntake::new(settings);
-        let (intake, store) = (Arc::new(intake), Arc::new(WeightStore::new(incarnation)));
+        let (intake, events) = RolloutIntake::new(settings, start.clone());
+        let (intake, store) = (Arc::new(intake), Arc::new(WeightStore::new(start.clone())));
         let answers = Answers::start(N_ANSWERING)?;
         let announcer = publisher(
             &session,
@@ -99,7 +100,7 @@ impl LearnerLink {
         let taker = Arc::clone(&intake);
         let answerer = answers.clone();
         let hellos = take_questions(&session, Key::Hello(run), move |query| {
-            on_hello(&taker, &answerer, incarnation, query);
+            on_hello(&taker, &answerer, query);
         })?;
         // Declared last: a peer that sees the token may rely on everything else.
         let alive = appear(&session, Key::Alive(run, &Member::Learner, incarnation))?;
@@ -169,14 +170,15 @@ impl LearnerLink {
         self.store.announcement()
     }
 
-    /// Tells an actor its credit. May be lost; repeat it.
+    /// Tells an actor its credit. May be lost; repeat it. A start of it that has proved nothing here is told none.
     ///
     /// # Errors
     ///
     /// [`Error::Network`] if it cannot be sent.
     pub fn send_credit(&self, actor: &ActorId, credit: Credit) -> Result<()> {
+        let Some(peer) = self.intake.keys.of(credit.incarnation) else { return Ok(()) };
         let key = Key::Credit(&self.run, actor);
-        let (header, payload) = wire::seal(Schema::Credit, self.incarnation, &credit)?;
+        let (header, payload) = wire::seal(Schema::Credit, &peer, &credit)?;
         put(&self.session, key, wire::NOTICE, &header, payload)
     }
 
@@ -184,8 +186,8 @@ impl LearnerLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoAnswer`] if it is not taken in time (the actor may be gone), [`Error::Rejected`] if only another
-    /// start of the actor is there.
+    /// [`Error::NoAnswer`] if it is not taken in time (the actor may be gone, or has proved nothing here yet),
+    /// [`Error::Rejected`] if only another start of the actor is there.
     pub async fn control(
         &self,
         actor: &ActorId,
@@ -194,9 +196,12 @@ impl LearnerLink {
         timeout: Duration,
     ) -> Result<ControlReply> {
         let key = Key::Control(&self.run, actor).to_string();
+        let Some(peer) = self.intake.keys.of(incarnation) else {
+            return Err(Error::NoAnswer { key, timeout });
+        };
         let started = Instant::now();
         loop {
-            let (header, payload) = wire::seal(Schema::Control, self.incarnation, control)?;
+            let (header, payload) = wire::seal(Schema::Control, &peer, control)?;
             let question = Inquiry {
                 key: key.clone(),
                 parameters: format!("{INCARNATION}={incarnation}"),
@@ -205,8 +210,9 @@ impl LearnerLink {
                 qos: wire::CONTROL,
                 timeout: timeout.saturating_sub(started.elapsed()),
             };
-            match ask_for(&self.session, question, CONTROL_REPLY).await? {
-                InquiryEnd::Good(reply) => return Ok(reply),
+            let (keys, is_it) = (&self.intake.keys, |start| start == incarnation);
+            match ask_for(&self.session, question, CONTROL_REPLY, keys, is_it).await? {
+                InquiryEnd::Good((_, reply)) => return Ok(reply),
                 InquiryEnd::Rejected(reason) => return Err(Error::Rejected { key, reason }),
                 InquiryEnd::Nobody if started.elapsed() < timeout.min(NOBODY_GRACE) => {
                     tokio::time::sleep(NOBODY_PAUSE).await;
@@ -309,23 +315,32 @@ fn on_presence(intake: &RolloutIntake, alive: Option<Alive>, kind: SampleKind) {
     let Member::Actor(actor) = member else { return };
     let event = match kind {
         SampleKind::Put => LearnerEvent::Joined(actor, incarnation),
-        SampleKind::Delete => LearnerEvent::Left(actor, incarnation),
+        SampleKind::Delete => {
+            intake.admitted.remove(&actor, incarnation);
+            LearnerEvent::Left(actor, incarnation)
+        }
     };
     if intake.events.offer(event, Class::Presence).is_some() {
         intake.count(None, RefusalCause::Overflow);
     }
 }
 
-fn on_hello(intake: &RolloutIntake, answers: &Answers, incarnation: Incarnation, mut query: Query) {
-    let hello = wire::unseal::<Hello>(query.attachment(), query.payload(), HELLO);
+fn on_hello(intake: &RolloutIntake, answers: &Answers, mut query: Query) {
+    let (header, message) = (query.attachment(), query.payload());
+    let hello = wire::unseal_hello::<Hello>(header, message, HELLO, &intake.keys);
     unload(&mut query);
-    match hello.and_then(|hello| hello.check().map(|()| hello)) {
+    let checked = hello.and_then(|(key, hello)| {
+        hello.check()?;
+        if hello.incarnation == key.peer { Ok((key, hello)) } else { Err(proof::refused()) }
+    });
+    match checked {
         Err(refusal) => {
             answers.give(PendingReply::Refusal(query, refusal.to_string()));
             intake.refuse(None, refusal);
         }
-        Ok(hello) => {
-            let reply = HelloResponder::new(query, answers, Schema::HelloReply, incarnation);
+        Ok((key, hello)) => {
+            let reply = Responder::new(query, answers, Schema::HelloReply, key);
+            let reply = HelloResponder::new(reply, &intake.admitted, &hello);
             if intake.events.offer(LearnerEvent::Hello { hello, reply }, Class::Request).is_some() {
                 intake.count(None, RefusalCause::Overflow);
             }

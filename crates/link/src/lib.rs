@@ -20,6 +20,8 @@
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
 //! * A session with a certificate listens and dials by TLS alone (and on unix sockets, whose files guard them), and never falls back.
+//! * A message between learner and actors proves which start it comes from, with or without certificates: nobody is
+//!   charged, credited or ordered about in the name of another.
 //! * Every wait has a limit and every error names the address, key, actor or run it is about.
 //!
 //! | flow | priority | when the network is congested |
@@ -61,6 +63,7 @@ mod latest;
 mod learner;
 mod lock;
 mod observer;
+mod proof;
 mod pubsub;
 mod queue;
 mod relay;
@@ -86,6 +89,7 @@ pub use intake::RefusalCounts;
 pub use latest::Events;
 pub use learner::LearnerLink;
 pub use observer::{ObserverEvent, ObserverLink};
+pub use proof::StartKey;
 pub use relay::RelayCounts;
 pub use router::RouterLink;
 pub use runtime::{RUNTIME_VARIABLE, runtime, runtime_fault};

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::message::Announcement;
-use leadtime_proto::receive::{self, ABOUT, ANNOUNCEMENT, HISTORY, METRICS};
+use leadtime_proto::receive::{self, ABOUT, HISTORY, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
 use tracing::warn;
 use zenoh::pubsub::Subscriber;
@@ -18,7 +18,7 @@ use crate::latest::{Events, Latest};
 use crate::lock::lock;
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Result, ask, discovery, session, wire};
+use crate::{ConnectSettings, Result, ask, discovery, session, weights, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
@@ -212,7 +212,7 @@ fn on_metrics(events: &EventQueue<ObserverEvent>, missed: &AtomicU64, sample: &S
 
 fn on_announcement(latest: &Latest<ObserverEvent>, sample: &Sample) {
     let Some(domain) = keys::parse_announcement(sample.key_expr()) else { return };
-    match wire::unseal(sample.attachment(), Some(sample.payload()), ANNOUNCEMENT) {
+    match weights::read_announcement(sample) {
         Ok(announcement) => {
             let key = domain.to_string();
             latest.put(&key, ObserverEvent::Announcement { domain, announcement });

@@ -11,13 +11,16 @@ use bytes::Bytes;
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::MAX_LAG;
 use leadtime_proto::message::Announcement;
-use leadtime_proto::{Header, Incarnation, PolicyVersion};
+use leadtime_proto::receive::ANNOUNCEMENT;
+use leadtime_proto::{Header, PolicyVersion, Refusal, Sequence};
 use sha2::{Digest as _, Sha256};
 use zenoh::Wait as _;
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
+use zenoh::sample::Sample;
 
 use crate::lock::lock;
+use crate::proof::{self, StartKey};
 use crate::{Error, Result, wire};
 
 /// Pause between repetitions of the newest announcement.
@@ -38,18 +41,21 @@ struct Kept {
 /// The versions that can be pulled: the only place where a learner keeps them.
 #[derive(Debug)]
 pub(crate) struct WeightStore {
-    learner: Incarnation,
+    learner: StartKey,
     versions: Mutex<BTreeMap<PolicyVersion, Kept>>,
 }
 
 impl WeightStore {
-    pub(crate) fn new(learner: Incarnation) -> Self {
+    pub(crate) fn new(learner: StartKey) -> Self {
         Self { learner, versions: Mutex::default() }
     }
 
     /// Keeps a version; the bytes are shared, not copied.
     pub(crate) fn put(&self, version: PolicyVersion, weights: Arc<[u8]>) {
-        let header = Header { version, ..Header::plain(Schema::Weights, self.learner, &weights) };
+        let header = Header {
+            version,
+            ..Header::plain(Schema::Weights, self.learner.incarnation(), &weights)
+        };
         let sha256 = Sha256::digest(&weights).into();
         let payload = ZBytes::from(Bytes::from_owner(Arc::clone(&weights)));
         let mut versions = lock(&self.versions);
@@ -79,7 +85,7 @@ impl WeightStore {
     pub(crate) fn announcement(&self) -> Announcement {
         let versions = lock(&self.versions);
         let versions = versions.iter().map(|(&version, kept)| (version, kept.sha256)).collect();
-        Announcement { learner: self.learner, versions }
+        Announcement { learner: self.learner.incarnation(), versions }
     }
 
     /// Finds what a pull asks for, or says why it is not there.
@@ -101,12 +107,20 @@ impl WeightStore {
 
 /// Tells everyone which versions there are.
 pub(crate) fn announce(publisher: &Publisher<'_>, store: &WeightStore) -> Result<()> {
-    let (header, payload) = wire::seal(Schema::Announcement, store.learner, &store.announcement())?;
+    let (schema, news) = (Schema::Announcement, store.announcement());
+    let (header, payload) = wire::sign(schema, &store.learner, Sequence(0), &news)?;
     publisher
         .put(payload)
         .attachment(header.to_bytes())
         .wait()
         .map_err(Error::network("announce weights on", publisher.key_expr()))
+}
+
+/// Reads an announcement, which the learner that it names has to have signed.
+pub(crate) fn read_announcement(sample: &Sample) -> Result<Announcement, Refusal> {
+    let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
+    let (start, news) = wire::unseal_signed::<Announcement>(attachment, payload, ANNOUNCEMENT)?;
+    if news.learner == start { Ok(news) } else { Err(proof::refused()) }
 }
 
 #[cfg(test)]
@@ -116,7 +130,7 @@ mod tests {
     use super::*;
 
     fn filled(versions: std::ops::Range<u64>) -> WeightStore {
-        let store = WeightStore::new(Incarnation(1));
+        let store = WeightStore::new(StartKey::numbered(1));
         versions.for_each(|v| store.put(PolicyVersion(v), Arc::from([v as u8])));
         store
     }

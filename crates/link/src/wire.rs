@@ -1,16 +1,18 @@
 //! Priorities, and how a message meets its header.
 
 use std::borrow::Cow;
+use std::sync::Arc;
 
 use leadtime_proto::header::Schema;
 use leadtime_proto::receive::{self, Expected};
-use leadtime_proto::{Header, Incarnation, Refusal, codec};
+use leadtime_proto::{Header, Incarnation, Refusal, Sequence, codec};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use zenoh::bytes::ZBytes;
 use zenoh::qos::{CongestionControl, Priority};
 
 use crate::Result;
+use crate::proof::{self, Keyring, PeerKey, SIGNED_PROOF_BYTES, StartKey, TAG_PROOF_BYTES};
 
 /// How a message travels: its quality of service.
 #[derive(Clone, Copy, Debug)]
@@ -41,25 +43,79 @@ pub(crate) const ARCHIVE: Qos =
 pub(crate) const METRICS: Qos =
     Qos { priority: Priority::Background, congestion: CongestionControl::Drop, express: false };
 
-/// Encodes a message and makes its header.
+/// Encodes a message for one other start, with its header and its proof.
 pub(crate) fn seal<T: Serialize>(
     schema: Schema,
-    incarnation: Incarnation,
+    key: &PeerKey,
     message: &T,
 ) -> Result<(Header, Vec<u8>)> {
-    let payload = codec::encode(message)?;
-    Ok((Header::plain(schema, incarnation, &payload), payload))
+    let mut payload = codec::encode(message)?;
+    let header = Header::plain(schema, key.us, &payload);
+    let proof = key.prove(&header, &payload);
+    payload.extend_from_slice(&proof);
+    Ok((header, payload))
 }
 
-/// Reads a message that came with its header as an attachment.
+/// Encodes a message for everybody, with its header and its proof; `number` counts hellos.
+pub(crate) fn sign<T: Serialize>(
+    schema: Schema,
+    key: &StartKey,
+    number: Sequence,
+    message: &T,
+) -> Result<(Header, Vec<u8>)> {
+    let mut payload = codec::encode(message)?;
+    let plain = Header::plain(schema, key.incarnation(), &payload);
+    let header = Header { sequence: number, ..plain };
+    let proof = key.sign(&header, &payload);
+    payload.extend_from_slice(&proof);
+    Ok((header, payload))
+}
+
+/// Reads a message for us, and returns the key that we share with the start that proves it.
 pub(crate) fn unseal<T: DeserializeOwned>(
     attachment: Option<&ZBytes>,
     payload: Option<&ZBytes>,
     expected: Expected,
-) -> Result<T, Refusal> {
-    let header = inspect(attachment, payload, expected)?;
-    let bytes = payload.map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes);
-    receive::open(&header, &bytes, expected)
+    keys: &Keyring,
+) -> Result<(Arc<PeerKey>, T), Refusal> {
+    let header = inspect(attachment, payload, with_proof(expected, TAG_PROOF_BYTES))?;
+    let bytes = whole(payload);
+    let (key, body) = keys.check(&header, &bytes)?;
+    Ok((key, receive::open(&header, body, expected)?))
+}
+
+/// Reads a hello, as [`unseal`] reads other messages.
+pub(crate) fn unseal_hello<T: DeserializeOwned>(
+    attachment: Option<&ZBytes>,
+    payload: Option<&ZBytes>,
+    expected: Expected,
+    keys: &Keyring,
+) -> Result<(Arc<PeerKey>, T), Refusal> {
+    let header = inspect(attachment, payload, with_proof(expected, SIGNED_PROOF_BYTES))?;
+    let bytes = whole(payload);
+    let (key, body) = keys.check_hello(&header, &bytes)?;
+    Ok((key, receive::open(&header, body, expected)?))
+}
+
+/// Reads a message for everybody, and returns the start that proves it.
+pub(crate) fn unseal_signed<T: DeserializeOwned>(
+    attachment: Option<&ZBytes>,
+    payload: Option<&ZBytes>,
+    expected: Expected,
+) -> Result<(Incarnation, T), Refusal> {
+    let header = inspect(attachment, payload, with_proof(expected, SIGNED_PROOF_BYTES))?;
+    let bytes = whole(payload);
+    let body = proof::check_signed(&header, &bytes)?.1;
+    Ok((header.incarnation, receive::open(&header, body, expected)?))
+}
+
+/// Returns what may arrive if a proof of so many bytes stands behind it.
+pub(crate) fn with_proof(expected: Expected, n_bytes: usize) -> Expected {
+    Expected { max_bytes: expected.max_bytes + n_bytes, ..expected }
+}
+
+fn whole(payload: Option<&ZBytes>) -> Cow<'_, [u8]> {
+    payload.map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes)
 }
 
 /// Checks size, header, protocol and schema; touches no payload byte.

@@ -14,9 +14,8 @@ use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
 use leadtime_link::{ActorLink, ConnectSettings, Error, LearnerLink, ListenSettings};
-use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, HelloReply};
-use leadtime_proto::{EnvId, Epoch, Header, Iteration, PolicyVersion, RefusalCause, codec};
+use leadtime_proto::{EnvId, Epoch, Iteration, PolicyVersion, RefusalCause};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::{Mutex, watch};
@@ -36,7 +35,7 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
     let site = Site::new();
     let settings = ListenSettings { rollouts_per_actor: PER_ACTOR, ..site.listen() };
     let (learner, events) =
-        LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await.unwrap();
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &settings).await.unwrap();
     let (rogue, _rogue_events) = site.welcomed("rogue", &events).await;
     let (honest, honest_events) = site.welcomed("honest", &events).await;
     learner.offer_weights(PolicyVersion(1), b"weights".as_slice().into()).unwrap();
@@ -44,7 +43,7 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
     // Nobody looks at `events` from here on.
     let flood = tokio::task::spawn_blocking(move || {
         for sequence in 1..=FLOOD {
-            let (header, payload) = rollout(sequence);
+            let (header, payload) = rollout("rogue", sequence);
             rogue.publish_rollout(&header, payload).unwrap();
         }
         rogue
@@ -53,14 +52,14 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
 
     // Pulls and orders go on, and so do the rollouts of those who keep to their window.
     assert_eq!(pull(&honest, &learner, 1).await.unwrap(), b"weights");
-    let id = actor_id("honest");
+    let (id, honest_start) = (actor_id("honest"), start("honest").incarnation());
     let order = Control::Stop { reason: "enough".to_owned(), cut_off: false };
     let answer = ControlReply::Followed { epoch: Epoch(1) };
     let obey = obey_next(&honest_events, &answer);
-    let (followed, _) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    let (followed, _) = tokio::join!(learner.control(&id, honest_start, &order, SOON), obey);
     followed.unwrap();
     for sequence in 1..=PER_ACTOR as u64 {
-        let (header, payload) = rollout(sequence);
+        let (header, payload) = rollout("honest", sequence);
         honest.publish_rollout(&header, payload).unwrap();
     }
 
@@ -90,11 +89,10 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
 async fn ask_without_reading(site: &Site, n: usize) -> (flume::Sender<()>, zenoh::Session) {
     let session = site.raw("client").await;
     let (stall, stalled) = flume::bounded::<()>(0);
-    let payload = codec::encode(&hello("deaf", ACTOR)).unwrap();
-    let header = Header::plain(Schema::Hello, ACTOR, &payload).to_bytes();
-    for _ in 0..n {
+    for number in 1..=n as u64 {
+        let (header, payload) = start("deaf").hello(number, &hello("deaf")).unwrap();
         let (stalled, key) = (stalled.clone(), Key::Hello(&run("one")).to_string());
-        let asked = session.get(key).payload(payload.clone()).attachment(header);
+        let asked = session.get(key).payload(payload).attachment(header.to_bytes());
         asked.callback(move |_| _ = stalled.recv()).await.unwrap();
     }
     (stall, session)
@@ -178,8 +176,9 @@ async fn orders_to_a_connection_that_does_not_read_end_in_time_and_hold_up_no_ot
     let line = Line::lay(&through, site.endpoint.as_str());
     let connect =
         ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![through.parse().unwrap()]) };
-    let (deaf, _deaf_events) = ActorLink::open(&connect, &actor_id("deaf"), ACTOR).await.unwrap();
-    say_hello(&deaf, "deaf", ACTOR, &events).await;
+    let (deaf, _deaf_events) =
+        ActorLink::open(&connect, &actor_id("deaf"), &start("deaf")).await.unwrap();
+    say_hello(&deaf, "deaf", &events).await;
     line.is_stalled.send_replace(true);
 
     // Far more than the connection holds: sending waits for seconds, until the connection is given up.
@@ -190,14 +189,15 @@ async fn orders_to_a_connection_that_does_not_read_end_in_time_and_hold_up_no_ot
             EnvAssignment { env_id: EnvId(0), iteration: Iteration(0), snapshot: vec![9; 400_000] };
         let order =
             Control::Assign(Assignment { epoch: Epoch(epoch), envs: vec![env], keep: vec![] });
-        let learner = Arc::clone(&learner);
-        orders
-            .spawn(async move { learner.control(&actor_id("deaf"), ACTOR, &order, timeout).await });
+        let (learner, start) = (Arc::clone(&learner), start("deaf").incarnation());
+        let give = async move { learner.control(&actor_id("deaf"), start, &order, timeout).await };
+        orders.spawn(give);
     }
     let order = Control::Stop { reason: "enough".to_owned(), cut_off: false };
     let (answer, id) = (ControlReply::Followed { epoch: Epoch(1) }, actor_id("honest"));
+    let honest_start = start("honest").incarnation();
     let obey = obey_next(&honest_events, &answer);
-    let (followed, _) = tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey);
+    let (followed, _) = tokio::join!(learner.control(&id, honest_start, &order, SOON), obey);
     followed.unwrap();
     while let Some(ended) = orders.join_next().await {
         let error = ended.unwrap().unwrap_err();

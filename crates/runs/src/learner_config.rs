@@ -4,19 +4,19 @@ use std::thread::available_parallelism;
 
 use leadtime_config::{Config, identity};
 use leadtime_learner::{Build, LearnerConfig};
-use leadtime_link::ListenSettings;
+use leadtime_link::{ListenSettings, StartKey};
 use leadtime_ppo::LearnerSettings;
 use leadtime_ppo::settings::MAX_THREADS;
 use leadtime_proto::{RunSpec, hex};
 
-use crate::{ProgramBuild, RunDir, RunDirError, clock};
+use crate::{ProgramBuild, RunDir, RunDirError};
 
 /// Tells a learner what to train, where to listen and what to go on from. If the configuration leaves its threads open, it
 /// takes the cores that this many actors on the same machine do not use.
 ///
 /// # Errors
 ///
-/// [`RunDirError`] if the weights that the run started from cannot be read.
+/// [`RunDirError`] if the weights that the run started from cannot be read, or no keys can be drawn for this start.
 pub fn learner_config(
     config: &Config,
     run_dir: &RunDir,
@@ -26,7 +26,7 @@ pub fn learner_config(
 ) -> Result<LearnerConfig, RunDirError> {
     Ok(LearnerConfig {
         run: run_dir.name.clone(),
-        incarnation: clock::incarnation(),
+        start: StartKey::draw().map_err(|error| RunDirError::Refused(error.to_string()))?,
         spec: RunSpec {
             seed: config.seed,
             task: config.task.clone(),

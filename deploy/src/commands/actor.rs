@@ -5,10 +5,10 @@ use std::fs;
 use anyhow::{Context as _, bail};
 use leadtime_actor::{ActorEnd, ActorProgress, ActorSettings, ActorSink, Error};
 use leadtime_certs::Role;
-use leadtime_link::{Endpoint, Error as LinkError};
+use leadtime_link::{Endpoint, Error as LinkError, StartKey};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RegionName, RunName};
-use leadtime_runs::{ProgramBuild, Tasks, clock};
+use leadtime_runs::{ProgramBuild, Tasks};
 use leadtime_trace::TraceSpan;
 use leadtime_worker::WorkerRules;
 use serde_json::json;
@@ -122,7 +122,7 @@ fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettin
     };
     Ok(ActorSettings {
         actor: ActorId::new(id).context("--id")?,
-        incarnation: clock::incarnation(),
+        start: StartKey::draw()?,
         run,
         connect,
         reconnect_timeout: args.reconnect_timeout,

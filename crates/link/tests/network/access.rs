@@ -51,7 +51,7 @@ impl Guarded {
             PEERS.iter().map(|(role, name)| (*role, name.parse().unwrap())).collect();
         let access = AccessList::parse(&AccessList::of(&peers).unwrap().to_text()).unwrap();
         let open = |settings| async move {
-            LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await.unwrap()
+            LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &settings).await.unwrap()
         };
         let mut guard = pki.listen(if has_router { "r1" } else { "l1" });
         guard.access = Some(access);
@@ -71,8 +71,8 @@ impl Guarded {
 
     async fn actor(&self, id: &str) -> (ActorLink, ActorEvents) {
         let settings = self.pki.connect(id, &self.endpoint);
-        let (actor, events) = ActorLink::open(&settings, &actor_id(id), ACTOR).await.unwrap();
-        say_hello(&actor, id, ACTOR, &self.events).await;
+        let (actor, events) = ActorLink::open(&settings, &actor_id(id), &start(id)).await.unwrap();
+        say_hello(&actor, id, &self.events).await;
         (actor, events)
     }
 
@@ -88,7 +88,7 @@ impl Guarded {
 
 fn credit(limit: u64) -> Credit {
     Credit {
-        incarnation: ACTOR,
+        incarnation: start("a7").incarnation(),
         learner: LEARNER,
         acknowledged: Sequence(0),
         limit: Sequence(limit),
@@ -119,10 +119,10 @@ async fn everything_of_a_run_passes(guarded: &Guarded) {
         ObserverEvent::Joined(Member::Actor(id), start) => Some((id, start)),
         _ => None,
     });
-    assert_eq!(joined.await, (actor_id("a7"), ACTOR));
+    assert_eq!(joined.await, (actor_id("a7"), start("a7").incarnation()));
 
     for sequence in 1..=20 {
-        let (header, payload) = rollout(sequence);
+        let (header, payload) = rollout("a7", sequence);
         actor.publish_rollout(&header, payload).unwrap();
     }
     for sequence in 1..=20 {
@@ -155,9 +155,9 @@ async fn everything_of_a_run_passes(guarded: &Guarded) {
 
     let order = Control::Stop { reason: "test".to_owned(), cut_off: false };
     let followed = ControlReply::Followed { epoch: Epoch(1) };
-    let id = actor_id("a7");
+    let (id, a7) = (actor_id("a7"), start("a7").incarnation());
     let (answer, heard) =
-        tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey_next(&told, &followed));
+        tokio::join!(learner.control(&id, a7, &order, SOON), obey_next(&told, &followed));
     assert_eq!((answer.unwrap(), heard), (followed, order));
 
     learner.publish_metrics(b"{\"of\":\"learner\"}").unwrap();
@@ -187,7 +187,7 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
     let (one, domain) = (run("one"), domain());
     let [a8, a9] = ["a8", "a9"].map(actor_id);
     let forger = guarded.raw("a8").await;
-    let (header, payload) = rollout(1);
+    let (header, payload) = rollout("a", 1);
     let header = header.to_bytes();
 
     // Rollouts and metrics.
@@ -272,14 +272,15 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
     let mut settings = guarded.pki.connect("stranger", &guarded.endpoint);
     settings.timeout = Duration::from_secs(5);
     let (stranger, _events) =
-        ActorLink::open(&settings, &actor_id("stranger"), ACTOR).await.unwrap();
-    let said = stranger.hello(None, &hello("stranger", ACTOR), Duration::from_millis(500)).await;
+        ActorLink::open(&settings, &actor_id("stranger"), &start("stranger")).await.unwrap();
+    let said = stranger.hello(None, &hello("stranger"), Duration::from_millis(500)).await;
     let error = said.unwrap_err();
     assert!(matches!(&error, Error::Unlisted { name, .. } if name == "stranger"), "{error}");
     // An observer who plays an actor sees the learner, and is told that it may not say hello.
     let settings = guarded.pki.connect("o1", &guarded.endpoint);
-    let (player, _events) = ActorLink::open(&settings, &actor_id("o1"), ACTOR).await.unwrap();
-    let error = player.hello(None, &hello("o1", ACTOR), SOON).await.unwrap_err();
+    let (player, _events) =
+        ActorLink::open(&settings, &actor_id("o1"), &start("o1")).await.unwrap();
+    let error = player.hello(None, &hello("o1"), SOON).await.unwrap_err();
     assert!(matches!(error, Error::NotAllowed { .. }), "{error}");
 }
 
@@ -298,7 +299,7 @@ async fn rollouts_are_read_by_recorders_alone(guarded: &Guarded) {
         held.push((session, subscriber));
     }
     let source = guarded.raw("a8").await;
-    let (header, payload) = rollout(1);
+    let (header, payload) = rollout("a", 1);
     let key = || Key::Rollouts(&one, &domain, &actor_id("a8")).to_string();
     let wait = async {
         loop {

@@ -91,7 +91,7 @@ pub(crate) async fn dialler(pki: &Pki, name: &str, endpoint: &Endpoint) -> zenoh
 }
 
 async fn learner(pki: &Pki, name: &str) -> (LearnerLink, Endpoint) {
-    let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &pki.listen(name)).await;
+    let opened = LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &pki.listen(name)).await;
     let (learner, _events) = opened.unwrap();
     let endpoint = learner.locators()[0].parse().unwrap();
     (learner, endpoint)
@@ -100,7 +100,7 @@ async fn learner(pki: &Pki, name: &str) -> (LearnerLink, Endpoint) {
 /// Dials, and returns what is said when it does not work.
 async fn told(identity: Identity, endpoint: &Endpoint) -> String {
     let settings = with(identity, endpoint, Duration::from_millis(300));
-    let error = ActorLink::open(&settings, &actor_id("a"), ACTOR).await.unwrap_err();
+    let error = ActorLink::open(&settings, &actor_id("a"), &start("a")).await.unwrap_err();
     assert!(matches!(error, Error::Unreachable { .. }), "{error}");
     error.to_string()
 }
@@ -116,7 +116,9 @@ async fn who_is_refused_at_the_handshake_is_told_why() {
     ours.issue_at(Role::Actor, "young", late);
     let (_learner, endpoint) = learner(&ours, "l1").await;
     let settings = ours.connect("a1", &endpoint);
-    ActorLink::open(&settings, &actor_id("a1"), ACTOR).await.expect("its certificate is good");
+    ActorLink::open(&settings, &actor_id("a1"), &start("a1"))
+        .await
+        .expect("its certificate is good");
 
     let said = told(theirs.identity("a1"), &endpoint).await;
     assert!(said.contains("is not signed by our authority"), "{said}");
@@ -131,14 +133,14 @@ async fn who_is_refused_at_the_handshake_is_told_why() {
         timeout: Duration::from_millis(300),
         ..ConnectSettings::new(vec![plain])
     };
-    ActorLink::open(&bare, &actor_id("a1"), ACTOR).await.unwrap_err();
+    ActorLink::open(&bare, &actor_id("a1"), &start("a1")).await.unwrap_err();
     let nameless =
         format!("{endpoint}#root_ca_certificate_file={}/ca.pem", ours.dir.path().display());
     let bare = ConnectSettings {
         timeout: Duration::from_millis(300),
         ..ConnectSettings::new(vec![nameless.parse().unwrap()])
     };
-    ActorLink::open(&bare, &actor_id("a1"), ACTOR).await.unwrap_err();
+    ActorLink::open(&bare, &actor_id("a1"), &start("a1")).await.unwrap_err();
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -162,7 +164,8 @@ async fn a_listener_with_a_certificate_that_does_not_do_is_not_dialled() {
     assert!(said.contains("is not for `127.0.0.2` but for"), "{said}");
 
     let plain = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
-    let (plain, _events) = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &plain).await.unwrap();
+    let (plain, _events) =
+        LearnerLink::open(&run("two"), DOMAIN, &learner_start(), &plain).await.unwrap();
     let clear: Endpoint = plain.locators()[0].replace("tcp/", "tls/").parse().unwrap();
     let said = told(ours.identity("a1"), &clear).await;
     assert!(said.contains("without --tls") || said.contains("does not answer a TLS"), "{said}");
@@ -174,19 +177,22 @@ async fn with_a_certificate_nothing_goes_out_in_the_clear() {
     pki.issue(Role::Actor, "a1");
     pki.issue(Role::Learner, "l1");
     let plain: Endpoint = "tcp/127.0.0.1:1".parse().unwrap();
-    let error =
-        ActorLink::open(&pki.connect("a1", &plain), &actor_id("a1"), ACTOR).await.unwrap_err();
+    let error = ActorLink::open(&pki.connect("a1", &plain), &actor_id("a1"), &start("a1"))
+        .await
+        .unwrap_err();
     assert!(matches!(error, Error::NotEncrypted(_)), "{error}");
     let mut listen = pki.listen("l1");
     listen.endpoints.push(plain);
-    let error = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &listen).await.unwrap_err();
+    let error =
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &listen).await.unwrap_err();
     assert!(matches!(error, Error::NotEncrypted(_)), "{error}");
     let encrypted: Endpoint = "tls/127.0.0.1:1".parse().unwrap();
     let settings = ConnectSettings::new(vec![encrypted]);
-    let error = ActorLink::open(&settings, &actor_id("a1"), ACTOR).await.unwrap_err();
+    let error = ActorLink::open(&settings, &actor_id("a1"), &start("a1")).await.unwrap_err();
     assert!(matches!(error, Error::NoCertificate(_)), "{error}");
     let twice: Endpoint = "tls/127.0.0.1:1#enable_mtls=false".parse().unwrap();
-    let error =
-        ActorLink::open(&pki.connect("a1", &twice), &actor_id("a1"), ACTOR).await.unwrap_err();
+    let error = ActorLink::open(&pki.connect("a1", &twice), &actor_id("a1"), &start("a1"))
+        .await
+        .unwrap_err();
     assert!(matches!(error, Error::TlsTwice(_)), "{error}");
 }

@@ -23,19 +23,19 @@ fn to(endpoint: &Endpoint, timeout: Duration) -> ConnectSettings {
 async fn a_learner_on_port_zero_tells_the_port_it_got() {
     let settings = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
     let (learner, events) =
-        LearnerLink::open(&run("one"), DOMAIN, LEARNER, &settings).await.unwrap();
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &settings).await.unwrap();
     let locator: Endpoint = learner.locators()[0].parse().unwrap();
     assert!(!locator.as_str().ends_with(":0"), "{locator}");
     let (actor, _events) =
-        ActorLink::open(&to(&locator, SOON), &actor_id("a"), ACTOR).await.unwrap();
-    say_hello(&actor, "a", ACTOR, &events).await;
+        ActorLink::open(&to(&locator, SOON), &actor_id("a"), &start("a")).await.unwrap();
+    say_hello(&actor, "a", &events).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_actor_may_be_there_before_its_learner() {
     let site = Site::new();
     let (early, late) = tokio::join!(site.actor("a"), site.learner());
-    assert_eq!(say_hello(&early.0, "a", ACTOR, &late.1).await, welcome("one"));
+    assert_eq!(say_hello(&early.0, "a", &late.1).await, welcome("one"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -44,10 +44,12 @@ async fn of_several_runs_at_one_address_one_has_to_be_named() {
     let _router = site.raw("router").await;
     let through =
         ListenSettings { connect: vec![site.endpoint.clone()], ..ListenSettings::new(Vec::new()) };
-    let (_one, events) = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &through).await.unwrap();
-    let (_two, _) = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &through).await.unwrap();
+    let (_one, events) =
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &through).await.unwrap();
+    let (_two, _) =
+        LearnerLink::open(&run("two"), DOMAIN, &learner_start(), &through).await.unwrap();
     let (actor, _events) = site.actor("a").await;
-    let said = hello("a", ACTOR);
+    let said = hello("a");
 
     let error = actor.hello(None, &said, SOON).await.unwrap_err();
     let Error::SeveralRuns { runs, .. } = error else { panic!("{error}") };
@@ -67,7 +69,7 @@ async fn of_several_runs_at_one_address_one_has_to_be_named() {
 async fn an_address_without_a_learner_is_told_from_one_without_anybody() {
     let site = Site::new();
     let started = Instant::now();
-    let error = ActorLink::open(&to(&site.endpoint, SHORT), &actor_id("a"), ACTOR).await;
+    let error = ActorLink::open(&to(&site.endpoint, SHORT), &actor_id("a"), &start("a")).await;
     let error = error.map(drop).unwrap_err();
     assert!(matches!(error, Error::Unreachable { timeout, .. } if timeout == SHORT), "{error}");
     assert!(error.to_string().contains(site.endpoint.as_str()), "{error}");
@@ -76,7 +78,7 @@ async fn an_address_without_a_learner_is_told_from_one_without_anybody() {
 
     let _router = site.raw("router").await;
     let (actor, _events) = site.actor("a").await;
-    let error = actor.hello(None, &hello("a", ACTOR), SHORT).await.unwrap_err();
+    let error = actor.hello(None, &hello("a"), SHORT).await.unwrap_err();
     assert!(matches!(error, Error::NoLearner { .. }), "{error}");
 }
 
@@ -85,7 +87,8 @@ async fn an_address_in_use_is_named() {
     let site = Site::new();
     let (_learner, _events) = site.learner().await;
     let any = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
-    let (first, _events) = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &any).await.unwrap();
+    let (first, _events) =
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &any).await.unwrap();
     for taken in [site.endpoint.as_str(), &first.locators()[0]] {
         let error = listen_error(taken).await;
         assert!(matches!(&error, Error::AddressInUse { .. }), "{error}: {:?}", error.source());
@@ -95,7 +98,7 @@ async fn an_address_in_use_is_named() {
 /// Opens a learner where none can be.
 async fn listen_error(endpoint: &str) -> Error {
     let settings = ListenSettings::new(vec![endpoint.parse().unwrap()]);
-    let opened = LearnerLink::open(&run("two"), DOMAIN, LEARNER, &settings).await;
+    let opened = LearnerLink::open(&run("two"), DOMAIN, &learner_start(), &settings).await;
     opened.map(drop).unwrap_err()
 }
 
@@ -115,15 +118,14 @@ async fn an_actor_that_is_not_wanted_is_told_why() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let (actor, _actor_events) = site.actor("a").await;
-    let (said, no) =
-        (hello("a", ACTOR), HelloReply::Refused { reason: "name is taken".to_owned() });
+    let (said, no) = (hello("a"), HelloReply::Refused { reason: "name is taken".to_owned() });
     let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), answer_next(&events, &no));
     let error = answer.unwrap_err();
     assert!(
         matches!(&error, Error::Refused { reason, .. } if reason == "name is taken"),
         "{error}"
     );
-    let (header, payload) = rollout(1);
+    let (header, payload) = rollout("a", 1);
     let error = actor.publish_rollout(&header, payload).unwrap_err();
     assert!(matches!(error, Error::NotInARun { .. }), "{error}");
 }
@@ -133,7 +135,7 @@ async fn an_actor_that_comes_when_its_run_is_ending_is_told_so() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let (actor, _actor_events) = site.actor("a").await;
-    let (said, no) = (hello("a", ACTOR), HelloReply::Refused { reason: RUN_IS_ENDING.to_owned() });
+    let (said, no) = (hello("a"), HelloReply::Refused { reason: RUN_IS_ENDING.to_owned() });
     let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), answer_next(&events, &no));
     let error = answer.unwrap_err();
     assert!(matches!(&error, Error::Ending { run: of } if *of == run("one")), "{error}");
@@ -158,7 +160,7 @@ async fn an_actor_tells_of_a_learner_of_another_release() {
     let alive = Key::Alive(&run("one"), &leadtime_link::keys::Member::Learner, LEARNER).to_string();
     let _token = foreign.liveliness().declare_token(&alive).await.unwrap();
     let (actor, _events) = site.actor("a").await;
-    let error = actor.hello(None, &hello("a", ACTOR), SOON).await.unwrap_err();
+    let error = actor.hello(None, &hello("a"), SOON).await.unwrap_err();
     let Error::BadAnswer { source, .. } = error else { panic!("{error}") };
     assert_eq!(source.cause, RefusalCause::Protocol);
     assert!(source.to_string().contains("protocol 77"), "{source}");

@@ -18,7 +18,7 @@ async fn a_rollout_arrives_with_its_header_and_can_be_opened() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let (actor, _actor_events) = site.welcomed("a", &events).await;
-    let (sent_header, sent) = rollout(7);
+    let (sent_header, sent) = rollout("a", 7);
     actor.publish_rollout(&sent_header, sent.clone()).unwrap();
     let (sender, header, payload) = next_rollout(&events).await;
     assert_eq!((sender, header), (actor_id("a"), sent_header));
@@ -28,7 +28,7 @@ async fn a_rollout_arrives_with_its_header_and_can_be_opened() {
     // One of many fragments arrives whole.
     let rollout = Rollout { observations: vec![0.25; 300_000], n_steps: 2, ..Rollout::default() };
     let payload = codec::encode(&rollout).unwrap();
-    let header = leadtime_proto::Header::plain(ROLLOUT.schema, ACTOR, &payload);
+    let header = leadtime_proto::Header::plain(ROLLOUT.schema, start("a").incarnation(), &payload);
     actor.publish_rollout(&header, payload.into()).unwrap();
     let (_, header, payload) = next_rollout(&events).await;
     assert_eq!(receive::open::<Rollout>(&header, &payload, ROLLOUT).unwrap(), rollout);
@@ -44,22 +44,24 @@ async fn an_order_is_acknowledged_or_ends_in_time() {
         EnvAssignment { env_id: EnvId(4), iteration: Iteration(2), snapshot: vec![9; 200_000] };
     let assignment = Assignment { epoch: Epoch(3), envs: vec![env], keep: vec![EnvId(1)] };
     let (id, order) = (actor_id("a"), Control::Assign(assignment));
+    let a = start("a").incarnation();
     let (got, taken) =
-        tokio::join!(learner.control(&id, ACTOR, &order, SOON), obey_next(&actor_events, &answer));
+        tokio::join!(learner.control(&id, a, &order, SOON), obey_next(&actor_events, &answer));
     assert_eq!(got.unwrap(), answer);
     assert_eq!(taken, order);
 
     let short = Duration::from_millis(200);
-    let absent = learner.control(&actor_id("b"), ACTOR, &order, short).await;
+    let absent = learner.control(&actor_id("b"), a, &order, short).await;
     assert!(matches!(absent.unwrap_err(), Error::NoAnswer { timeout, .. } if timeout == short));
 
     // The order waits in the queue of an actor that does not look.
-    let silent = learner.control(&id, ACTOR, &order, short).await;
+    let silent = learner.control(&id, a, &order, short).await;
     assert!(matches!(silent.unwrap_err(), Error::NoAnswer { .. }));
     drop(actor_events);
 
+    // An earlier start that never said hello here.
     let earlier = learner.control(&id, Incarnation(1), &order, SOON).await;
-    assert!(matches!(earlier.unwrap_err(), Error::Rejected { .. }));
+    assert!(matches!(earlier.unwrap_err(), Error::NoAnswer { .. }));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -74,12 +76,13 @@ async fn credit_reaches_the_start_it_is_meant_for() {
         limit: Sequence(limit),
     };
     learner.send_credit(&actor_id("a"), credit(Incarnation(1), 50)).unwrap();
-    learner.send_credit(&actor_id("a"), credit(ACTOR, 5)).unwrap();
+    let a = start("a").incarnation();
+    learner.send_credit(&actor_id("a"), credit(a, 5)).unwrap();
     let first = until(&actor_events, |event| match event {
         ActorEvent::Credit(credit) => Some(credit),
         _ => None,
     });
-    assert_eq!(first.await, credit(ACTOR, 5));
+    assert_eq!(first.await, credit(a, 5));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -90,9 +93,9 @@ async fn an_observer_reads_metrics_presence_and_announcements() {
     assert!(observer.runs().await.unwrap().contains(&run("one")));
     observer.follow(&run("one")).unwrap();
     let (actor, _actor_events) = site.welcomed("a", &events).await;
-    let member = Member::Actor(actor_id("a"));
+    let (member, a) = (Member::Actor(actor_id("a")), start("a").incarnation());
     until(&seen, |event| match event {
-        ObserverEvent::Joined(who, start) => (who == member && start == ACTOR).then_some(()),
+        ObserverEvent::Joined(who, start) => (who == member && start == a).then_some(()),
         _ => None,
     })
     .await;

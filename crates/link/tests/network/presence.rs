@@ -1,6 +1,7 @@
 //! Coming and going, on both sides.
 
-use leadtime_link::{ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink};
+use leadtime_link::{ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, StartKey};
+use leadtime_proto::message::{Hello, HelloReply, Welcome};
 use leadtime_proto::{Incarnation, PolicyVersion};
 
 use crate::support::*;
@@ -29,11 +30,12 @@ async fn hear_of(events: &ActorEvents, learner: Incarnation, comes: bool) {
 async fn an_actor_that_goes_is_missed_and_one_that_returns_is_another_start() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
-    for incarnation in [ACTOR, Incarnation(201)] {
+    for start in [start("a"), start("again")] {
+        let incarnation = start.incarnation();
         let (actor, _actor_events) =
-            ActorLink::open(&site.connect(), &actor_id("a"), incarnation).await.unwrap();
+            ActorLink::open(&site.connect(), &actor_id("a"), &start).await.unwrap();
         // Its presence is told before its hello, so a learner hears of the end of everyone it welcomed.
-        let said = hello("a", incarnation);
+        let said = Hello { incarnation, ..hello("a") };
         let greet = async {
             assert_eq!(next_start(&events, true).await, incarnation);
             welcome_next(&events).await;
@@ -41,7 +43,7 @@ async fn an_actor_that_goes_is_missed_and_one_that_returns_is_another_start() {
         let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), greet);
         answer.unwrap();
         // Killed the first time, and in good order the second.
-        if incarnation != ACTOR {
+        if incarnation != self::start("a").incarnation() {
             actor.close().await.unwrap();
         }
         drop(actor);
@@ -64,14 +66,17 @@ async fn actors_outlive_their_learner_and_greet_the_next_one() {
         Error::NoAnswer { .. }
     ));
 
-    let next = Incarnation(101);
+    let next = StartKey::numbered(101);
     let (learner, events) =
-        LearnerLink::open(&run("one"), DOMAIN, next, &site.listen()).await.unwrap();
+        LearnerLink::open(&run("one"), DOMAIN, &next, &site.listen()).await.unwrap();
     learner.offer_weights(PolicyVersion(1), b"resumed".as_slice().into()).unwrap();
-    hear_of(&actor_events, next, true).await;
-    say_hello(&actor, "a", ACTOR, &events).await;
+    hear_of(&actor_events, next.incarnation(), true).await;
+    let welcome = Welcome { weights: learner.announcement(), ..welcome("one") };
+    let (said, answer) = (hello("a"), HelloReply::Welcome(Box::new(welcome)));
+    let (said, ()) = tokio::join!(actor.hello(None, &said, SOON), answer_next(&events, &answer));
+    said.unwrap();
     assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"resumed");
-    let (header, payload) = rollout(1);
+    let (header, payload) = rollout("a", 1);
     actor.publish_rollout(&header, payload).unwrap();
     assert_eq!(next_rollout(&events).await.1, header);
 }

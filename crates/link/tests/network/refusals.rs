@@ -11,6 +11,9 @@ use zenoh::qos::CongestionControl;
 
 use crate::support::*;
 
+/// Bytes behind a rollout that prove whose it is.
+const TAG_PROOF_BYTES: usize = 64;
+
 async fn put(session: &Session, key: &str, attachment: Option<Vec<u8>>, payload: &[u8]) {
     // Waits for room: by default a message of many fragments is dropped on a busy machine.
     let message = session.put(key, payload).congestion_control(CongestionControl::Block);
@@ -36,25 +39,39 @@ async fn what_is_no_rollout_is_refused_with_its_cause_before_it_is_read() {
     let intruder = site.raw("client").await;
     let (name, domain, rogue) = (run("one"), domain(), actor_id("rogue"));
     let key = Key::Rollouts(&name, &domain, &rogue).to_string();
-    let (header, payload) = rollout(1);
+    let (header, payload) = rollout("rogue", 1);
     let good = header.to_bytes();
 
     let mut foreign = good;
     foreign[12] = 9;
-    let credit = Header::plain(Schema::Credit, ACTOR, &payload).to_bytes();
-    let huge = vec![0; MAX_ROLLOUT_BYTES + 1];
+    let rogue_start = start("rogue").incarnation();
+    let credit = Header::plain(Schema::Credit, rogue_start, &payload).to_bytes();
+    let huge = vec![0; MAX_ROLLOUT_BYTES + TAG_PROOF_BYTES + 1];
+    let unproved = [&payload[..], &[0; TAG_PROOF_BYTES]].concat();
     let cases = [
-        (None, &payload[..], RefusalCause::Header, None),
-        (Some(b"garbage".to_vec()), b"garbage".as_slice(), RefusalCause::Header, None),
-        (Some(vec![0; 48]), &payload, RefusalCause::Header, None),
-        (Some(foreign.to_vec()), &payload, RefusalCause::Protocol, None),
-        (Some(credit.to_vec()), &payload, RefusalCause::Schema, Some(ACTOR)),
-        (Some(good.to_vec()), &huge, RefusalCause::Oversize, Some(ACTOR)),
+        (None, &payload[..], RefusalCause::Header),
+        (Some(b"garbage".to_vec()), b"garbage".as_slice(), RefusalCause::Header),
+        (Some(vec![0; 48]), &payload, RefusalCause::Header),
+        (Some(foreign.to_vec()), &payload, RefusalCause::Protocol),
+        (Some(credit.to_vec()), &payload, RefusalCause::Schema),
+        (Some(good.to_vec()), &huge, RefusalCause::Oversize),
+        (Some(good.to_vec()), &unproved, RefusalCause::Stranger),
     ];
-    for (attachment, payload, cause, sender) in cases {
-        put(&intruder, &key, attachment, payload).await;
-        let (actor, refusal) = refused(&events).await;
-        assert_eq!((actor, refusal.cause, refusal.sender), (Some(rogue.clone()), cause, sender));
+    let refuses = async |cases: &[(Option<Vec<u8>>, &[u8], RefusalCause)]| {
+        for (attachment, payload, cause) in cases {
+            put(&intruder, &key, attachment.clone(), payload).await;
+            let (actor, refusal) = refused(&events).await;
+            // Whatever number the header has, nobody is blamed for it.
+            assert_eq!((actor, refusal.cause, refusal.sender), (Some(rogue.clone()), *cause, None));
+        }
+    };
+    refuses(&cases).await;
+    // From now on somebody of that name, and with that number, may be.
+    let (_member, _member_events) = site.welcomed("rogue", &events).await;
+    refuses(&cases[..6]).await;
+    let cases = [&unproved, &unproved[1..], &payload[..], &[]];
+    for message in cases {
+        refuses(&[(Some(good.to_vec()), message, RefusalCause::Proof)]).await;
     }
     let elsewhere = key.replace("rogue", "ROGUE");
     put(&intruder, &elsewhere, Some(good.to_vec()), &payload).await;
@@ -69,10 +86,11 @@ async fn a_payload_that_is_not_the_headers_is_refused_when_opened() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let (actor, _actor_events) = site.welcomed("a", &events).await;
-    let (header, payload) = rollout(1);
+    let (header, payload) = rollout("a", 1);
     let mut damaged = payload.to_vec();
     damaged[3] ^= 0x10;
-    let garbage = Header::plain(Schema::Rollout, ACTOR, b"garbage");
+    let a = start("a").incarnation();
+    let garbage = Header::plain(Schema::Rollout, a, b"garbage");
     let cases = [
         (header, damaged, RefusalCause::Checksum),
         (garbage, b"garbage".to_vec(), RefusalCause::Malformed),
@@ -86,7 +104,7 @@ async fn a_payload_that_is_not_the_headers_is_refused_when_opened() {
 
     // What the network would drop unsaid is not even sent.
     let payload = vec![0; 2 * MAX_ROLLOUT_BYTES + 1];
-    let header = Header::plain(Schema::Rollout, ACTOR, &payload);
+    let header = Header::plain(Schema::Rollout, a, &payload);
     let error = actor.publish_rollout(&header, payload.into()).unwrap_err();
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
 }
@@ -97,13 +115,14 @@ async fn an_actor_that_is_cut_off_is_only_counted() {
     let (learner, events) = site.learner().await;
     let (rogue, _rogue_events) = site.welcomed("rogue", &events).await;
     let (honest, _honest_events) = site.welcomed("honest", &events).await;
-    learner.cut_off(&actor_id("rogue"), ACTOR);
-    let (header, payload) = rollout(1);
-    rogue.publish_rollout(&header, payload.clone()).unwrap();
+    learner.cut_off(&actor_id("rogue"), start("rogue").incarnation());
+    let (header, payload) = rollout("rogue", 1);
+    rogue.publish_rollout(&header, payload).unwrap();
     // The answer to a query shows that what this connection sent before has been looked at.
     while total(&learner.take_uncounted(), RefusalCause::CutOff) == 0 {
         rogue.pull_weights(PolicyVersion(0), [0; 32]).await.unwrap_err();
     }
+    let (header, payload) = rollout("honest", 1);
     honest.publish_rollout(&header, payload).unwrap();
     assert_eq!(next_rollout(&events).await.0, actor_id("honest"));
 }
@@ -113,15 +132,17 @@ async fn a_hello_that_is_none_or_of_another_release_is_answered_and_counted() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let intruder = site.raw("client").await;
-    let good = Header::plain(Schema::Hello, ACTOR, b"garbage").to_bytes();
+    let good = Header::plain(Schema::Hello, start("a").incarnation(), b"garbage").to_bytes();
     let mut foreign = good;
     foreign[12] = 77;
     let other_release = format!(
         "the message has protocol 77, its receiver speaks {PROTOCOL_VERSION}: run the same release on both sides"
     );
-    for (header, told, cause, sender) in [
-        (good, "payload cannot be decoded", RefusalCause::Malformed, Some(ACTOR)),
-        (foreign, other_release.as_str(), RefusalCause::Protocol, None),
+    let unproved =
+        "the message does not prove that it comes from the process that its header names";
+    for (header, told, cause) in [
+        (good, unproved, RefusalCause::Proof),
+        (foreign, other_release.as_str(), RefusalCause::Protocol),
     ] {
         let question = intruder.get(Key::Hello(&run("one")).to_string()).payload(b"garbage");
         let answers = question.attachment(header).await.unwrap();
@@ -129,7 +150,7 @@ async fn a_hello_that_is_none_or_of_another_release_is_answered_and_counted() {
         let sentence = answer.result().unwrap_err().payload().try_to_string().unwrap();
         assert_eq!(sentence, told);
         let (_, refusal) = refused(&events).await;
-        assert_eq!((refusal.cause, refusal.sender), (cause, sender));
+        assert_eq!((refusal.cause, refusal.sender), (cause, None));
         assert_eq!(refusal.to_string(), told);
     }
     assert!(learner.take_uncounted().is_empty(), "each was an event");

@@ -38,8 +38,8 @@ async fn actor(
         region: Some(region(name)),
         ..ConnectSettings::new(vec![at.clone()])
     };
-    let (actor, _events) = ActorLink::open(&settings, &actor_id(id), ACTOR).await.unwrap();
-    say_hello(&actor, id, ACTOR, events).await;
+    let (actor, _events) = ActorLink::open(&settings, &actor_id(id), &start(id)).await.unwrap();
+    say_hello(&actor, id, events).await;
     actor
 }
 
@@ -47,7 +47,7 @@ async fn actor(
 async fn each_version_is_pulled_once_for_a_region_and_without_its_relay_from_the_learner() {
     let (top, at_top) = router(None).await;
     let dial = ListenSettings { connect: vec![at_top.clone()], ..ListenSettings::new(Vec::new()) };
-    let opened = LearnerLink::open(&run("one"), DOMAIN, LEARNER, &dial).await;
+    let opened = LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &dial).await;
     let (learner, events) = opened.unwrap();
     let (mut routers, mut actors) = (Vec::new(), Vec::new());
     for name in ["eu", "us"] {

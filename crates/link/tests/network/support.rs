@@ -5,7 +5,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use leadtime_link::{
     ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
-    ListenSettings, Payload, RefusalCounts,
+    ListenSettings, Payload, RefusalCounts, StartKey,
 };
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Hello, HelloReply, Welcome};
@@ -15,8 +15,8 @@ use leadtime_proto::{
 };
 use tempfile::TempDir;
 
-pub(crate) const LEARNER: Incarnation = Incarnation(100);
-pub(crate) const ACTOR: Incarnation = Incarnation(200);
+/// The number that belongs to [`learner_start`].
+pub(crate) const LEARNER: Incarnation = Incarnation(0);
 pub(crate) const DOMAIN: &str = "cue_recall";
 /// Longest wait for anything that must happen.
 pub(crate) const SOON: Duration = Duration::from_secs(20);
@@ -46,11 +46,11 @@ impl Site {
     }
 
     pub(crate) async fn learner(&self) -> (LearnerLink, LearnerEvents) {
-        LearnerLink::open(&run("one"), DOMAIN, LEARNER, &self.listen()).await.unwrap()
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &self.listen()).await.unwrap()
     }
 
     pub(crate) async fn actor(&self, id: &str) -> (ActorLink, ActorEvents) {
-        ActorLink::open(&self.connect(), &actor_id(id), ACTOR).await.unwrap()
+        ActorLink::open(&self.connect(), &actor_id(id), &start(id)).await.unwrap()
     }
 
     /// An actor that a learner has welcomed.
@@ -60,7 +60,7 @@ impl Site {
         learner: &LearnerEvents,
     ) -> (ActorLink, ActorEvents) {
         let (actor, events) = self.actor(id).await;
-        say_hello(&actor, id, ACTOR, learner).await;
+        say_hello(&actor, id, learner).await;
         (actor, events)
     }
 
@@ -80,13 +80,8 @@ impl Site {
 }
 
 /// Says hello and has the learner welcome it.
-pub(crate) async fn say_hello(
-    actor: &ActorLink,
-    id: &str,
-    incarnation: Incarnation,
-    learner: &LearnerEvents,
-) -> Welcome {
-    let hello = hello(id, incarnation);
+pub(crate) async fn say_hello(actor: &ActorLink, id: &str, learner: &LearnerEvents) -> Welcome {
+    let hello = hello(id);
     let (said, ()) = tokio::join!(actor.hello(None, &hello, SOON), welcome_next(learner));
     said.unwrap()
 }
@@ -108,7 +103,7 @@ pub(crate) async fn answer_next(learner: &LearnerEvents, answer: &HelloReply) {
 /// Answers the next order, and returns it.
 pub(crate) async fn obey_next(actor: &ActorEvents, answer: &ControlReply) -> Control {
     let order = until(actor, |event| match event {
-        ActorEvent::Control { control, reply } => Some((control, reply)),
+        ActorEvent::Control { control, reply, .. } => Some((control, reply)),
         _ => None,
     });
     let (control, reply) = order.await;
@@ -170,11 +165,21 @@ pub(crate) fn domain() -> DomainName {
     DomainName::new(DOMAIN).unwrap()
 }
 
-pub(crate) fn hello(id: &str, incarnation: Incarnation) -> Hello {
+/// The keys of the learner in these tests.
+pub(crate) fn learner_start() -> StartKey {
+    StartKey::numbered(100)
+}
+
+/// The keys of an actor in these tests.
+pub(crate) fn start(id: &str) -> StartKey {
+    StartKey::numbered(id.bytes().fold(200, |number, byte| 31 * number + u64::from(byte)))
+}
+
+pub(crate) fn hello(id: &str) -> Hello {
     Hello {
         program: "test".to_owned(),
         actor: actor_id(id),
-        incarnation,
+        incarnation: start(id).incarnation(),
         cpu: "cpu".to_owned(),
         published: Sequence(0),
         first_unacknowledged: Sequence(1),
@@ -203,7 +208,7 @@ pub(crate) fn welcome(name: &str) -> Welcome {
 }
 
 /// A rollout message that a learner takes.
-pub(crate) fn rollout(sequence: u64) -> (Header, Bytes) {
+pub(crate) fn rollout(id: &str, sequence: u64) -> (Header, Bytes) {
     let rollout = Rollout {
         env_id: EnvId(3),
         iteration: Iteration(sequence),
@@ -213,8 +218,8 @@ pub(crate) fn rollout(sequence: u64) -> (Header, Bytes) {
         ..Rollout::default()
     };
     let payload = codec::encode(&rollout).unwrap();
-    let header =
-        Header { sequence: Sequence(sequence), ..Header::plain(Schema::Rollout, ACTOR, &payload) };
+    let plain = Header::plain(Schema::Rollout, start(id).incarnation(), &payload);
+    let header = Header { sequence: Sequence(sequence), ..plain };
     (header, payload.into())
 }
 
