@@ -74,10 +74,8 @@ fn widened(
         return interval;
     }
     let alone = |i: usize| exact[i].or_else(|| summary::resampled(sides[i], bootstrap, DIFFERENCE));
-    match (alone(0), alone(1)) {
-        (Some(of), Some(minus)) => of.minus(&minus),
-        _ => interval,
-    }
+    let both = alone(0).zip(alone(1));
+    both.map_or(interval, |(of, minus)| of.minus(&minus))
 }
 
 /// Returns the exact interval of a share that was 0, or 1, in all episodes; `None` for any other.
