@@ -175,11 +175,12 @@ impl Bootstrap {
         })
     }
 
-    /// Computes an interval of a mean that holds for every distribution on 0..=1, also if it has a rare value that
-    /// `values` do not show; `None` without data.
+    /// Computes an interval of a mean that is meant to hold for every distribution on 0..=1, also if it has a rare value
+    /// that `values` do not show; `None` without data.
     ///
     /// Each bound supposes one more value, the worst possible, and weighs all of them at random. Of zeros and ones it is
-    /// the exact interval. For means of a few trainings it is several times as wide as the bootstrap's.
+    /// the exact interval. That it holds for all distributions is a conjecture: nobody has proved it. For means of a few
+    /// trainings it is several times as wide as the bootstrap's.
     ///
     /// # Units
     ///

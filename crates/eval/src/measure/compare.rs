@@ -39,8 +39,7 @@ impl Difference {
         let all: [Vec<Vec<f64>>; 2] = values;
         let [a, b] = all.each_ref().map(|of| of.iter().map(Vec::as_slice).collect::<Vec<&[f64]>>());
         let interval = bootstrap.hierarchical_difference(&a, &b, DIFFERENCE)?;
-        let values = all.map(|groups| groups.concat());
-        let interval = widened(interval, &values, measure, bootstrap.confidence);
+        let interval = widened(interval, [a.as_slice(), b.as_slice()], measure, bootstrap);
         let (of, minus) = (of.0.to_owned(), minus.0.to_owned());
         Some(Self { measure: measure.to_owned(), of, minus, interval })
     }
@@ -58,17 +57,33 @@ impl Difference {
     }
 }
 
-/// Gives a difference of shares that the bootstrap left without width, because each was 0 or 1 in all episodes, the width
-/// that their exact intervals make.
-fn widened(interval: Interval, values: &[Vec<f64>; 2], measure: &str, confidence: f64) -> Interval {
-    if interval.low < interval.high || !summary::is_share(measure) {
+/// Makes the interval of a difference of shares from the intervals of the two where one of them was 0, or 1, in all
+/// episodes: the bootstrap takes such a share for certain. Returns every other difference as it is.
+///
+/// # Shapes
+///
+/// `sides`: episodes by training seed, of the one and of the one that is subtracted.
+fn widened(
+    interval: Interval,
+    sides: [&[&[f64]]; 2],
+    measure: &str,
+    bootstrap: &Bootstrap,
+) -> Interval {
+    let exact = sides.map(|groups| of_all_or_none(&groups.concat(), bootstrap.confidence));
+    if !summary::is_share(measure) || exact.iter().all(Option::is_none) {
         return interval;
     }
-    let [of, minus] = values.each_ref().map(|values| {
-        let estimate = mean(values);
-        with_width(Interval { estimate, low: estimate, high: estimate }, values.len(), confidence)
-    });
-    of.minus(&minus)
+    let alone = |i: usize| exact[i].or_else(|| summary::resampled(sides[i], bootstrap, DIFFERENCE));
+    let both = alone(0).zip(alone(1));
+    both.map_or(interval, |(of, minus)| of.minus(&minus))
+}
+
+/// Returns the exact interval of a share that was 0, or 1, in all episodes; `None` for any other.
+fn of_all_or_none(values: &[f64], confidence: f64) -> Option<Interval> {
+    let estimate = mean(values);
+    let flat = Interval { estimate, low: estimate, high: estimate };
+    let exact = with_width(flat, values.len(), confidence);
+    (exact.low < exact.high).then_some(exact)
 }
 
 /// Summaries of several players, and the differences that were asked for.
@@ -94,7 +109,9 @@ impl Comparison {
         let values = [of, minus].map(|evaluation| summary::values(evaluation, measure));
         let interval = self.bootstrap.difference(&values[0], &values[1], DIFFERENCE);
         let difference = interval.map(|interval| {
-            let interval = widened(interval, &values, measure, self.bootstrap.confidence);
+            let [a, b] = values.each_ref().map(|values| [values.as_slice()]);
+            let interval =
+                widened(interval, [a.as_slice(), b.as_slice()], measure, &self.bootstrap);
             let (of, minus) = (of.player.clone(), minus.player.clone());
             Difference { measure: measure.to_owned(), of, minus, interval }
         });
@@ -222,6 +239,23 @@ mod tests {
         }
         let lengths = Difference::over_seeds(("a", &all), ("b", &none), "length", &plan).unwrap();
         assert_eq!(lengths.interval, Interval { estimate: 0.0, low: 0.0, high: 0.0 });
+    }
+
+    #[test]
+    fn a_share_of_all_is_not_taken_for_certain_beside_one_that_varies() {
+        let plan = Bootstrap::new(1);
+        let (all, half) = (player("all", &[1.0; 4]), player("half", &[1.0, 0.0, 1.0, 0.0]));
+        let single = Comparison::new(&[all.clone(), half.clone()], plan)
+            .with_difference(&all, &half, "success");
+        let (all, half) = (vec![all.clone(), all], vec![half.clone(), half]);
+        let several = Difference::over_seeds(("a", &all), ("b", &half), "success", &plan).unwrap();
+        // Four of four may be 40 %, and two of four nearly all; eight of eight 63 %, and four of eight 88 %.
+        for (interval, low) in
+            [(single.differences[0].interval, -0.283), (several.interval, -0.026)]
+        {
+            assert_eq!(interval.estimate, 0.5);
+            assert!((interval.low - low).abs() < 2e-3 && interval.high > 0.85, "{interval:?}");
+        }
     }
 
     #[test]

@@ -147,16 +147,22 @@ impl Summary {
 
 fn measure(name: String, values: &[Vec<f64>], bootstrap: &Bootstrap, index: u64) -> Measure {
     let groups: Vec<&[f64]> = values.iter().map(Vec::as_slice).collect();
-    let interval = match groups.as_slice() {
-        [only] => bootstrap.mean(only, index),
-        several => bootstrap.hierarchical_mean(several, index),
-    };
+    let interval = resampled(&groups, bootstrap, index);
     let all = values.concat();
     let exact = |interval| with_width(interval, all.len(), bootstrap.confidence);
     let interval = if is_share(&name) { interval.map(exact) } else { interval };
     let standard_deviation = (all.len() >= 2).then(|| standard_deviation(&all));
     let by_seed = groups.iter().filter(|group| !group.is_empty()).map(|group| mean(group));
     Measure { name, n: all.len(), interval, standard_deviation, by_seed: by_seed.collect() }
+}
+
+/// Computes the bootstrap interval of a mean: over episodes, or over training seeds and then episodes where there are
+/// several.
+pub(super) fn resampled(groups: &[&[f64]], bootstrap: &Bootstrap, index: u64) -> Option<Interval> {
+    match groups {
+        [only] => bootstrap.mean(only, index),
+        several => bootstrap.hierarchical_mean(several, index),
+    }
 }
 
 /// Returns whether a measure lies between 0 and 1 in every episode.
