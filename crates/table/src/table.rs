@@ -24,6 +24,8 @@ pub struct Table {
     left: Vec<usize>,
     /// The column whose texts may be shortened in their middle.
     elastic: Option<usize>,
+    /// The columns that are left out where there is no room, the first one first.
+    dispensable: Vec<usize>,
 }
 
 /// The fewest characters that a shortened text keeps.
@@ -66,7 +68,7 @@ impl Table {
     /// A table with an empty head has none where the form allows it.
     pub fn new<C: Into<TableCell>>(head: impl IntoIterator<Item = C>) -> Self {
         let head = head.into_iter().map(Into::into).collect();
-        Self { head, rows: Vec::new(), left: vec![0], elastic: None }
+        Self { head, rows: Vec::new(), left: vec![0], elastic: None, dispensable: Vec::new() }
     }
 
     /// Aligns these columns to the left, and all others to the right.
@@ -77,6 +79,11 @@ impl Table {
     /// Lets the texts of a column be shortened in their middle where the table is too wide.
     pub fn elastic(self, column: usize) -> Self {
         Self { elastic: Some(column), ..self }
+    }
+
+    /// Lets columns be left out where the table is too wide: the first of these first, and no more of them than need be.
+    pub fn dispensable(self, columns: &[usize]) -> Self {
+        Self { dispensable: columns.to_vec(), ..self }
     }
 
     /// Adds a row; a short one is filled with empty cells.
@@ -92,10 +99,15 @@ impl Table {
     }
 
     /// Writes the table as plain text with lines of at most `width` characters, as far as possible: where it is too wide,
-    /// notes stand below their texts, the elastic column is shortened, and what still does not fit follows in further
-    /// blocks that repeat the first column.
+    /// dispensable columns are left out, notes stand below their texts, the elastic column is shortened, and what still does not
+    /// fit follows in further blocks that repeat the first column.
     pub fn text_within(&self, width: usize) -> String {
         let mut texts = self.texts();
+        if let Some(&column) = self.dispensable.first()
+            && texts.width() > width
+        {
+            return self.without(column).text_within(width);
+        }
         if texts.width() > width {
             texts = Texts { rows: self.stacked(), ..texts };
         }
@@ -118,6 +130,22 @@ impl Table {
             from = to;
         }
         blocks.join("\n")
+    }
+
+    /// Returns the same without a column.
+    fn without(&self, column: usize) -> Self {
+        let others = |cells: &[TableCell]| {
+            let kept = cells.iter().enumerate().filter(|(i, _)| *i != column);
+            kept.map(|(_, cell)| cell.clone()).collect::<Vec<_>>()
+        };
+        let moved = |i: &usize| (*i != column).then(|| if *i > column { i - 1 } else { *i });
+        Self {
+            head: others(&self.head),
+            rows: self.rows.iter().map(|row| others(row)).collect(),
+            left: self.left.iter().filter_map(moved).collect(),
+            elastic: self.elastic.as_ref().and_then(moved),
+            dispensable: self.dispensable.iter().filter_map(moved).collect(),
+        }
     }
 
     fn texts(&self) -> Texts<'_> {
@@ -260,6 +288,24 @@ mod tests {
         assert!(text.contains("table1-pil\u{2026}789ab-s201  1600000"), "{text}");
         assert!(text.lines().all(|line| line.chars().count() <= 30), "{text}");
         assert!(text.contains("\nshort "), "{text}");
+    }
+
+    #[test]
+    fn dispensable_columns_are_left_out_one_after_the_other_and_texts_stay_whole() {
+        let mut table =
+            Table::new(["run", "domain", "state", "steps"]).left(&[0, 1, 2]).dispensable(&[1, 3]);
+        let name = "table1-piloting-convey-react-0123456789ab-s201";
+        table.push([name, "lander", "finished", "1600000"]);
+        table.push(["short", "lander", "unfinished", "1"]);
+        assert_eq!(table.text_within(80), table.text());
+        let text = table.text_within(70);
+        let head = format!("{:46}  state         steps", "run");
+        assert_eq!(text.lines().next(), Some(head.as_str()));
+        assert!(text.contains(&format!("{name}  finished    1600000\n")), "{text}");
+        let text = table.text_within(60);
+        assert!(text.contains(&format!("{name}  finished\n")) && !text.contains("steps"), "{text}");
+        let text = table.text_within(20);
+        assert!(text.contains(name), "{text}");
     }
 
     #[test]

@@ -145,7 +145,7 @@ impl RaceWork<'_> {
             return;
         }
         let head = ["run", "at a quarter", "at the end", ""].map(str::to_owned);
-        let mut table = Table::new(head).left(&[0, 3]).elastic(0);
+        let mut table = Table::new(head).left(&[0, 3]).dispensable(&[1]);
         for racer in 0..self.race.racers.len() {
             let [quarter, last] = [RaceStage::Quarter, RaceStage::Final]
                 .map(|stage| words(self.race.score(racer, stage)));
