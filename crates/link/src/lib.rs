@@ -20,6 +20,7 @@
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
 //! * A session with a certificate listens and dials by TLS alone (and on unix sockets, whose files guard them), and never falls back.
+//! * A connection that leads nowhere is replaced by actors, observers and recorders; the library does not always see it.
 //! * Every wait has a limit and every error names the address, key, actor or run it is about.
 //!
 //! | flow | priority | when the network is congested |
@@ -63,6 +64,7 @@ mod lock;
 mod observer;
 mod pubsub;
 mod queue;
+mod redial;
 mod relay;
 mod router;
 mod runtime;
