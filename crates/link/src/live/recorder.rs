@@ -4,6 +4,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use leadtime_proto::{ClientName, ServiceName};
+use zenoh::pubsub::Subscriber;
+use zenoh::session::Session;
 
 use super::client::{LiveMessage, MAX_MESSAGES, ask, find, watch_service};
 use super::keys::{LiveKey, LiveTopic, parse_topic};
@@ -56,21 +58,8 @@ impl LiveRecorderLink {
         let n_dropped = Arc::new(AtomicU64::new(0));
         let (of, only, dropped) = (service.clone(), client.cloned(), Arc::clone(&n_dropped));
         session.subscribe(move |session| {
-            let subscribed = LiveTopic::ALL.into_iter().map(|topic| {
-                let (sender, n_dropped) = (sender.clone(), Arc::clone(&dropped));
-                let key = match &only {
-                    Some(client) => topic.key(&of, client),
-                    None => LiveKey::Any(&of, topic),
-                };
-                subscribe(session, key, move |sample| {
-                    let Some((client, topic)) = parse_topic(sample.key_expr()) else { return };
-                    let arrival = Arrival::new(&sample);
-                    if sender.try_send(LiveSample { client, topic, arrival }).is_err() {
-                        n_dropped.fetch_add(1, Ordering::Relaxed);
-                    }
-                })
-            });
-            let mut subscribers = subscribed.collect::<Result<Vec<_>>>()?;
+            let topics = take_topics(session, &of, only.as_ref(), &sender, &dropped);
+            let mut subscribers = topics?;
             subscribers.push(watch_service(session, &of, told.clone())?);
             Ok(subscribers)
         })?;
@@ -109,6 +98,31 @@ impl LiveRecorderLink {
     pub async fn close(&self) -> Result<()> {
         self.session.close().await
     }
+}
+
+/// Takes everything that is published about one client, or about all of them.
+fn take_topics(
+    session: &Session,
+    service: &ServiceName,
+    client: Option<&ClientName>,
+    sender: &flume::Sender<LiveSample>,
+    n_dropped: &Arc<AtomicU64>,
+) -> Result<Vec<Subscriber<()>>> {
+    let subscribed = LiveTopic::ALL.into_iter().map(|topic| {
+        let (sender, n_dropped) = (sender.clone(), Arc::clone(n_dropped));
+        let key = match client {
+            Some(client) => topic.key(service, client),
+            None => LiveKey::Any(service, topic),
+        };
+        subscribe(session, key, move |sample| {
+            let Some((client, topic)) = parse_topic(sample.key_expr()) else { return };
+            let arrival = Arrival::new(&sample);
+            if sender.try_send(LiveSample { client, topic, arrival }).is_err() {
+                n_dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+    });
+    subscribed.collect()
 }
 
 /// Asks a notifier what its sessions are.
