@@ -35,7 +35,9 @@ pub(crate) use network::{
     CertsAclArgs, CertsCommand, CertsInitArgs, CertsIssueArgs, CertsRenewArgs, CertsShowArgs,
     GuardArgs, RouterArgs, TlsArgs,
 };
-pub(crate) use operations::{HealthArgs, PruneArgs, STATUS_ADDRESS, TraceArgs, VersionArgs};
+pub(crate) use operations::{
+    HealthArgs, PAGE_ADDRESS, PruneArgs, STATUS_ADDRESS, TraceArgs, VersionArgs,
+};
 pub(crate) use robot::{DistroName, ObsForm, RobotArgs, SayKeyForm};
 pub(crate) use taxonomy::{
     BackendArgs, BackendName, Claim, ExportFormat, PlanArgs, TaxonomyBuildArgs, TaxonomyCommand,
@@ -390,7 +392,7 @@ pub(crate) struct WatchArgs {
     #[command(flatten)]
     pub tls: TlsArgs,
     /// Where to serve the page; port 0 takes a free one.
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
+    #[arg(long, value_name = "ADDRESS", default_value = PAGE_ADDRESS)]
     pub http: String,
     #[command(flatten)]
     pub access: AccessArgs,

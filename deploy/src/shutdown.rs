@@ -6,8 +6,8 @@
 //! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang. A learner that cannot save what it has
 //! learned may go on trying for [`UNSAVED_TIME`].
 //!
-//! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 drains a learner, or `up` with its learner: it ends as on
-//! SIGTERM, with success.
+//! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 drains a learner, or a command with its learners (`up`, `race`,
+//! `compare`): it ends as on SIGTERM, with success. `smoke` ends so without success, which would say that it has passed.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.
@@ -59,6 +59,21 @@ pub(crate) fn drain_on_request(shutdown: &CancellationToken) -> io::Result<Arc<A
         }
     });
     Ok(drained)
+}
+
+/// Returns what was done; `None` if it was interrupted because SIGUSR1 asked for the end, which is no failure.
+pub(crate) fn unless_drained<T>(
+    done: Result<T, Failure>,
+    drained: &AtomicBool,
+) -> Result<Option<T>, Failure> {
+    match done {
+        Err(failure)
+            if failure.code == ExitCode::Interrupted && drained.load(Ordering::Relaxed) =>
+        {
+            Ok(None)
+        }
+        done => done.map(Some),
+    }
 }
 
 /// Who may ask a process to end.

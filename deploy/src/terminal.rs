@@ -1,4 +1,5 @@
-//! Standard error, with at most one progress bar on its last line; what cannot be written there is dropped.
+//! The terminal: how wide it is, and standard error with at most one progress bar on its last line. What cannot be written there
+//! is dropped.
 
 use std::io::{self, IsTerminal as _, Write as _};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -22,6 +23,11 @@ fn bar() -> MutexGuard<'static, String> {
 /// Returns whether a person watches.
 pub(crate) fn is_watched() -> bool {
     io::stderr().is_terminal()
+}
+
+/// Returns how many columns the terminal has to which standard output goes.
+pub(crate) fn columns() -> usize {
+    terminal_size_of(io::stdout()).map_or(COLUMNS, |(Width(n), _)| n.into())
 }
 
 /// Writes lines, above the bar if there is one.

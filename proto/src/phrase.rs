@@ -15,16 +15,20 @@ pub fn counted(n: impl Display, thing: &str) -> String {
     format!("{n} {thing}{ending}")
 }
 
-/// Writes a time in its two largest units: `1h 02m`, `1m 10s`, `9s`; below a second in tenths, rounded up: `0.5s`.
+/// Writes a time in its two largest units: `2d 03h`, `1h 02m`, `1m 10s`, `9s`; whole days as they are given, `30d`; below a second in
+/// tenths, rounded up: `0.5s`.
 pub fn duration(time: Duration) -> String {
     if time > Duration::ZERO && time < Duration::from_secs(1) {
         return format!("{}s", (10.0 * time.as_secs_f64()).ceil() / 10.0);
     }
     let seconds = time.as_secs();
-    match (seconds / 3600, seconds / 60 % 60, seconds % 60) {
-        (0, 0, seconds) => format!("{seconds}s"),
-        (0, minutes, seconds) => format!("{minutes}m {seconds:02}s"),
-        (hours, minutes, _) => format!("{hours}h {minutes:02}m"),
+    let (days, hours) = (seconds / 86_400, seconds / 3_600 % 24);
+    match (days, hours, seconds / 60 % 60, seconds % 60) {
+        (0, 0, 0, seconds) => format!("{seconds}s"),
+        (0, 0, minutes, seconds) => format!("{minutes}m {seconds:02}s"),
+        (0, hours, minutes, _) => format!("{hours}h {minutes:02}m"),
+        (days, 0, ..) => format!("{days}d"),
+        (days, hours, ..) => format!("{days}d {hours:02}h"),
     }
 }
 
@@ -82,7 +86,9 @@ mod tests {
     fn times_have_two_units_at_most() {
         let text = |seconds| duration(Duration::from_secs(seconds));
         let texts = [0, 9, 60, 70, 3_599, 3_720, 360_000].map(text);
-        assert_eq!(texts, ["0s", "9s", "1m 00s", "1m 10s", "59m 59s", "1h 02m", "100h 00m"]);
+        assert_eq!(texts, ["0s", "9s", "1m 00s", "1m 10s", "59m 59s", "1h 02m", "4d 04h"]);
+        let hours = [1, 23, 24, 36, 720].map(|hours| duration(Duration::from_hours(hours)));
+        assert_eq!(hours, ["1h 00m", "23h 00m", "1d", "1d 12h", "30d"]);
         assert_eq!(duration(Duration::from_millis(500)), "0.5s");
         assert_eq!(duration(Duration::from_secs_f64(0.186_181_818)), "0.2s");
     }

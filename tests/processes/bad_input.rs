@@ -5,7 +5,9 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::Command;
 
-use crate::support::{Finished, PATIENCE, Place, Running, checkpoints, record, wait_for_words};
+use crate::support::{
+    Finished, PATIENCE, Place, Running, checkpoints, record, repository, wait_for_words,
+};
 
 /// Exit code for wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -393,6 +395,18 @@ fn a_full_disk_costs_no_results() {
     let evaluated = evaluated.with_code(WRONG_INPUT);
     assert!(!evaluated.stdout.is_empty(), "the results are printed first");
     evaluated.saying(&["writing /dev/full"]);
+}
+
+#[test]
+fn a_pipe_that_is_given_for_a_file_is_refused_and_not_waited_for() {
+    let place = Place::new();
+    let pipe = place.file("pipe.toml");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let policy = repository("deploy/policies/piloting.safetensors");
+    let eval = format!("eval {policy} --episodes 1 --baseline");
+    for command in ["check -c", "up -c", "learner -c", "compare", &eval] {
+        refused(&place, &[command, &pipe], &["reading ", "pipe.toml is not a file"]);
+    }
 }
 
 #[test]

@@ -103,15 +103,18 @@ fn a_killed_comparison_goes_on_where_it_was() {
 }
 
 #[test]
-fn an_interrupted_comparison_takes_its_runs_down() {
-    let place = Place::new();
-    let running = place.start(&[&study(&place), "--steps 100000000"]);
-    let under_way = || runs(&place).iter().any(|name| updates(&place.run(name)) >= 1);
-    wait_until("a run is under way", PATIENCE, under_way);
-    let family = children(running.id());
-    signal("INT", running.id());
-    running.finish(Duration::from_secs(6)).with_code(130);
-    assert!(family.iter().all(|id| !is_alive(*id)));
+fn an_interrupted_comparison_takes_its_runs_down_and_a_drained_one_ends_well() {
+    for (name, code) in [("INT", 130), ("USR1", 0)] {
+        let place = Place::new();
+        let running = place.start(&[&study(&place), "--steps 100000000"]);
+        let under_way = || runs(&place).iter().any(|name| updates(&place.run(name)) >= 1);
+        wait_until("a run is under way", PATIENCE, under_way);
+        let family = children(running.id());
+        signal(name, running.id());
+        let ended = running.finish(Duration::from_secs(6)).with_code(code);
+        ended.saying(&["The same command goes on with what is missing"]);
+        assert!(family.iter().all(|id| !is_alive(*id)));
+    }
 }
 
 #[test]

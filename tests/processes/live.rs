@@ -470,4 +470,10 @@ fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
     assert_eq!(described["properties"]["obs"]["maxItems"], 8);
     let quiet = place.finish(&["serve", &policy(), "--describe"]).with_code(0).stdout;
     assert!(quiet.contains("Topics: ascend, shift_left, shift_right, descend"), "{quiet}");
+    let driving = repository("deploy/policies/driving.safetensors");
+    let wide = place.finish(&["serve", &driving, "--describe"]).with_code(0).stdout;
+    for told in [&quiet, &wide] {
+        let fits = told.lines().all(|line| line.chars().count() <= 80);
+        assert!(fits && !told.contains('\u{2026}'), "{told}");
+    }
 }

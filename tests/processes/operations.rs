@@ -153,6 +153,7 @@ fn a_status_address_that_cannot_be_had_is_wrong_input() {
         (taken.as_str(), "is in use"),
         ("here", "is not an address"),
         ("host:1", "is not an address"),
+        ("localhost", "such as 127.0.0.1:9464"),
     ] {
         let endpoint = place.endpoint("learner");
         let learner = ["learner -c cartpole --listen", &endpoint, "--status", address];

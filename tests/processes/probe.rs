@@ -29,6 +29,7 @@ fn a_probe_is_reproducible_and_says_where_its_numbers_are_from() {
     assert_eq!(probed["reaction_delay"]["uniform"]["high"], 5);
     let text = with("--markdown page.md").with_code(0).stdout;
     assert!(text.contains("hidden features minus constant: "), "{text}");
+    assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
     let page = fs::read_to_string(place.file("page.md")).unwrap();
     let command = format!("* command: `leadtime probe lander --episodes 40 --set '{VARIED}'");
     assert!(page.contains(&command), "{page}");

@@ -1,7 +1,10 @@
 //! A race of several seeds: who is stopped, who wins, and that neither a race nor its interruption changes a run.
 
+use std::time::Duration;
+
 use crate::support::{
-    PATIENCE, Place, children, is_alive, result, updates, wait_for_updates, wait_until,
+    PATIENCE, Place, checkpoints, children, is_alive, result, signal, updates, wait_for_updates,
+    wait_until,
 };
 use serde_json::Value;
 
@@ -56,6 +59,20 @@ fn a_race_that_was_killed_goes_on_and_ends_the_same() {
     killed.kill();
     wait_until("its processes end", PATIENCE, || !helpers.iter().any(|id| is_alive(*id)));
     assert_eq!(race(&place, ""), expected);
+}
+
+#[test]
+fn a_race_that_is_drained_ends_well_and_is_to_go_on() {
+    let place = Place::new();
+    let long = [RACE, "--set learner.total_steps=100000000"];
+    let drained = place.start(&long);
+    wait_for_updates(&place.run(NAMES[0]), 3);
+    let helpers = children(drained.id());
+    signal("USR1", drained.id());
+    let ended = drained.finish(Duration::from_secs(6)).with_code(0);
+    ended.saying(&["asked to drain", "The same command goes on with the race."]);
+    assert!(!helpers.iter().any(|id| is_alive(*id)));
+    assert!(!checkpoints(&place.run(NAMES[0])).is_empty());
 }
 
 #[test]

@@ -63,6 +63,33 @@ fn a_drained_supervisor_ends_well_and_its_run_can_go_on() {
 }
 
 #[test]
+fn a_supervisor_that_is_drained_while_it_chooses_a_lag_ends_well_and_begins_no_run() {
+    let place = Place::new();
+    let supervisor = place.start(&[LONG, "--choose-lag --set learner.mode=lag"]);
+    wait_for_words(&supervisor, "Trying learner.lag = 1");
+    signal("USR1", supervisor.id());
+    let ended = supervisor.finish(6 * SECOND).with_code(0);
+    ended.saying(&["asked to drain", "No lag is chosen, and no run is begun."]);
+    assert!(!place.run("r").exists());
+}
+
+#[test]
+fn a_smoke_that_is_drained_ends_in_order_and_has_not_passed() {
+    let place = Place::new();
+    let smoke = place.start(&["smoke --set learner.total_steps=100000000"]);
+    let under_way = || {
+        let mut runs = std::fs::read_dir(place.path().join("runs")).into_iter().flatten();
+        runs.any(|run| updates(&run.unwrap().path()) >= 1)
+    };
+    wait_until("a run is under way", PATIENCE, under_way);
+    let processes = children(smoke.id());
+    signal("USR1", smoke.id());
+    let ended = smoke.finish(6 * SECOND).with_code(130);
+    ended.saying(&["asked to drain", "To go on from update"]);
+    assert!(are_gone(&processes));
+}
+
+#[test]
 fn a_process_that_hangs_is_killed_before_the_supervisor_ends() {
     let place = Place::new();
     let (supervisor, processes) = start(&place);

@@ -252,7 +252,7 @@ fn what_cannot_be_watched_is_one_sentence() {
         (format!("watch --connect {at} --http 0.0.0.0:0"), 2, "--token auto"),
         (format!("watch --connect {at} --token short"), 2, "--token"),
         (format!("watch --connect {at} --once --http 127.0.0.1:0"), 2, "cannot be used with"),
-        ("up -c cartpole --watch 127.0.0.1".to_owned(), 2, "is not an address"),
+        ("up -c cartpole --watch 127.0.0.1".to_owned(), 2, "such as 127.0.0.1:8080"),
     ] {
         place.finish(&[&command]).with_code(code).saying(&[told]);
     }

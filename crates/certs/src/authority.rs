@@ -72,12 +72,14 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::AuthorityExists`], or [`Error::File`] if the directory cannot be written.
+    /// [`Error::AuthorityExists`], [`Error::LoneKey`] if only the key of one is there, or [`Error::File`] if the directory cannot
+    /// be written.
     pub fn create(directory: &Path, name: &str, now: Timestamp) -> Result<Certificate> {
         let [certificate, key, serial] = paths(directory);
-        if certificate.exists() || key.exists() {
+        if files::holds_something(&certificate) {
             return Err(Error::AuthorityExists(directory.to_owned()));
         }
+        check_no_lone_key(&certificate, &key)?;
         fs::create_dir_all(directory).map_err(failed("write", directory))?;
         let key_pair = KeyPair::generate()?;
         let mut params = CertificateParams::default();
@@ -133,8 +135,8 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::Taken`] if a certificate or a key of that name is there, [`Error::Host`] if a host is neither a name
-    /// nor an address, [`Error::Lifetime`] if the lifetime is under a second or over 100 years, [`Error::File`] or
+    /// [`Error::Taken`] if a certificate of that name is there, [`Error::LoneKey`] if only a key is, [`Error::Host`] if a host is
+    /// neither a name nor an address, [`Error::Lifetime`] if the lifetime is under a second or over 100 years, [`Error::File`] or
     /// [`Error::Content`] if a file cannot be written or the serial number cannot be read.
     pub fn issue(
         &mut self,
@@ -163,9 +165,11 @@ impl Authority {
     ) -> Result<Vec<Issued>> {
         let mut names = BTreeSet::new();
         for IssueRequest { name, .. } in requests {
-            if let Some(there) = self.files(name).into_iter().find(|path| path.exists()) {
-                return Err(Error::Taken(there));
+            let [certificate, key] = self.files(name);
+            if files::holds_something(&certificate) {
+                return Err(Error::Taken(certificate));
             }
+            check_no_lone_key(&certificate, &key)?;
             if !names.insert(name) {
                 return Err(Error::Twice(name.to_string()));
             }
@@ -349,6 +353,14 @@ fn look_at(
 
 fn paths(directory: &Path) -> [PathBuf; 3] {
     ["ca.pem", "ca.key", "serial"].map(|name| directory.join(name))
+}
+
+/// Refuses a key without its certificate where both are about to be made: it may still be somebody's.
+fn check_no_lone_key(certificate: &Path, key: &Path) -> Result<()> {
+    if !files::holds_something(key) {
+        return Ok(());
+    }
+    Err(Error::LoneKey { key: key.to_owned(), certificate: certificate.to_owned() })
 }
 
 fn content(path: &Path) -> impl FnOnce(String) -> Error + use<> {

@@ -32,6 +32,19 @@ pub enum Error {
     /// This name has a certificate.
     #[error("{} exists already: renew it with `certs renew`, or remove it first", .0.display())]
     Taken(PathBuf),
+    /// A key is there, and its certificate is not.
+    #[error(
+        "{} is there without its certificate {}, as a `leadtime certs` that was killed leaves it: remove the key, unless \
+         you have moved that certificate elsewhere, and try again",
+        key.display(),
+        certificate.display()
+    )]
+    LoneKey {
+        /// The file of the key, `NAME.key`.
+        key: PathBuf,
+        /// Where its certificate would be, `NAME.pem`.
+        certificate: PathBuf,
+    },
     /// One name was given twice.
     #[error("`{0}` is given twice: every process needs a name of its own")]
     Twice(String),

@@ -69,6 +69,12 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>> {
     fs::read(path).map_err(fail())
 }
 
+/// Returns whether something is there that would be lost if another file took its place. An empty file is not: a power cut leaves
+/// one where a file was about to be.
+pub(crate) fn holds_something(path: &Path) -> bool {
+    fs::metadata(path).is_ok_and(|found| !found.is_file() || found.len() > 0)
+}
+
 /// Refuses what is no file, such as a pipe: its reader could wait for ever.
 fn check_is_file(path: &Path) -> Result<()> {
     if fs::metadata(path).map_err(failed("read", path))?.is_file() {

@@ -166,6 +166,40 @@ fn what_is_there_is_not_overwritten() {
 }
 
 #[test]
+fn a_key_that_a_kill_left_alone_is_named_and_an_empty_one_is_replaced() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    // What is left if the authority's certificate was not written any more.
+    fs::write(at("ca.key"), "a key").unwrap();
+    let error = Authority::create(dir.path(), "Test", now()).unwrap_err();
+    assert!(matches!(&error, Error::LoneKey { key, .. } if *key == at("ca.key")), "{error}");
+    fs::write(at("ca.key"), "").unwrap();
+    let mut authority = authority(dir.path());
+
+    let before = contents(dir.path());
+    fs::write(at("a1.key"), "a key").unwrap();
+    let wanted: [IssueRequest; 2] = ["actor:a1", "actor:a2"].map(|text| text.parse().unwrap());
+    let error = authority.issue_all(&wanted, DAY, now()).unwrap_err();
+    let told = error.to_string();
+    let (key, pem) = (at("a1.key"), at("a1.pem"));
+    let start = format!("{} is there without its certificate {}", key.display(), pem.display());
+    assert!(told.starts_with(&start) && told.contains("remove the key"), "{told}");
+    assert_eq!(fs::read(&key).unwrap(), b"a key");
+    fs::remove_file(&key).unwrap();
+    assert_eq!(contents(dir.path()), before, "nothing was issued");
+
+    // A power cut leaves empty files, with the mode of whoever made them.
+    for name in ["a1.key", "a1.pem", "a2.key"] {
+        fs::write(at(name), "").unwrap();
+    }
+    authority.issue_all(&wanted, DAY, now()).unwrap();
+    assert_eq!(mode(&key), 0o600);
+    for name in ["a1", "a2"] {
+        Identity::read(&at(name), now()).unwrap();
+    }
+}
+
+#[test]
 fn what_ends_soon_is_made_anew_with_its_key() {
     let dir = tempfile::tempdir().unwrap();
     let mut authority = authority(dir.path());

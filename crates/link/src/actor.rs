@@ -41,6 +41,7 @@ use crate::lock::lock;
 use crate::proof::{self, Keyring, PeerKey, StartKey};
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
+use crate::redial::ClientSession;
 use crate::{ConnectSettings, ControlResponder, Error, Result, session, weights, wire};
 
 /// Threads that answer orders; there is one learner to answer.
@@ -57,9 +58,6 @@ const HELLO_WAIT: Duration = Duration::from_secs(10);
 const RELAY_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long a relay that did not answer is left alone.
 const RELAY_PAUSE: Duration = Duration::from_secs(30);
-/// How long a connection may have nobody at its other end before another is opened beside it. The library looks for the other
-/// end again by itself, but not where a connection ended while the library was still noting that it had begun.
-const STRANDED: Duration = Duration::from_secs(10);
 
 /// What an actor holds in a run before it is welcome.
 #[derive(Debug)]
@@ -105,10 +103,8 @@ pub struct ActorLink {
     answers: Answers,
     joined: Mutex<Option<Joined>>,
     entered: Mutex<Option<Arc<Membership>>>,
-    /// Since when nobody has been at the other end.
-    alone: Mutex<Option<Instant>>,
     /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
-    session: Mutex<Session>,
+    session: ClientSession,
 }
 
 impl ActorLink {
@@ -122,10 +118,10 @@ impl ActorLink {
         actor: &ActorId,
         start: &StartKey,
     ) -> Result<(Self, Events<ActorEvent>)> {
-        let session = session::connect(settings).await?;
+        let session = ClientSession::open(settings).await?;
         let (events, latest, mut receiver) = Events::new(0);
         let link = Self {
-            session: Mutex::new(session),
+            session,
             settings: settings.clone(),
             relay: settings
                 .region
@@ -141,7 +137,6 @@ impl ActorLink {
             answers: Answers::start(N_ANSWERING)?,
             joined: Mutex::default(),
             entered: Mutex::default(),
-            alone: Mutex::default(),
         };
         Ok((link, receiver))
     }
@@ -149,7 +144,7 @@ impl ActorLink {
     /// Says hello to a run, named or the only one there, and enters it when welcome.
     ///
     /// To be said again after every [`ActorEvent::LearnerJoined`] that follows a loss. A connection that has had
-    /// nobody at its other end for [`STRANDED`] is replaced by another first.
+    /// nobody at its other end for [`STRANDED`](crate::redial::STRANDED) is replaced by another first.
     ///
     /// # Errors
     ///
@@ -329,11 +324,11 @@ impl ActorLink {
     ///
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
-        session::close(&self.session()).await
+        self.session.close().await
     }
 
     fn session(&self) -> Session {
-        lock(&self.session).clone()
+        self.session.now()
     }
 
     /// Returns the name in our certificate, if we have one.
@@ -341,33 +336,14 @@ impl ActorLink {
         self.settings.identity.as_ref()?.shown.name.as_ref()
     }
 
-    /// Replaces a connection that has had nobody at its other end for [`STRANDED`], if one attempt opens another.
+    /// Replaces a connection that leads nowhere.
     async fn renew(&self) {
-        let before = self.session();
-        // `close` ended this session on purpose: no other one replaces it.
-        if before.is_closed() {
-            return;
-        }
-        if session::has_peer(&before).await {
-            *lock(&self.alone) = None;
-            return;
-        }
-        if lock(&self.alone).get_or_insert_with(Instant::now).elapsed() < STRANDED {
-            return;
-        }
-        match session::reconnect(&self.settings).await {
-            Ok(session) if before.is_closed() => drop(session::close(&session).await),
-            Ok(session) => {
-                info!("nobody is at the other end of this connection; continuing on a new one");
-                // What was declared on the old session ends with it.
-                *lock(&self.joined) = None;
-                *lock(&self.entered) = None;
-                *lock(&self.session) = session;
-                *lock(&self.alone) = None;
-                drop(session::close(&before).await);
-            }
-            Err(error) => debug!(%error, "no other connection can be opened"),
-        }
+        let Some(session) = self.session.successor().await else { return };
+        // What was declared on the old session ends with it.
+        *lock(&self.joined) = None;
+        *lock(&self.entered) = None;
+        let before = self.session.replace(session);
+        drop(session::close(&before).await);
     }
 
     fn entered(&self) -> Result<Arc<Membership>> {
@@ -382,7 +358,7 @@ impl ActorLink {
         timeout: Duration,
     ) -> Result<RunName> {
         let settings = ConnectSettings { timeout, ..self.settings.clone() };
-        let found = discovery::find(&self.session(), &settings, wanted, started).await;
+        let found = discovery::find(|| self.session(), &settings, wanted, started).await;
         found.map_err(|error| match (error, self.name().cloned()) {
             (Error::NoLearner { endpoints, timeout }, Some(name)) => {
                 Error::Unlisted { endpoints, name, timeout }
@@ -522,13 +498,12 @@ mod tests {
         let (actor, actor_events) = site.welcomed("a", &events).await;
 
         let nowhere = elsewhere.raw("peer").await;
-        let before = std::mem::replace(&mut *lock(&actor.session), nowhere);
-        before.close().await.unwrap();
+        actor.session.replace(nowhere).close().await.unwrap();
         until(&events, |event| matches!(event, crate::LearnerEvent::Left(..)).then_some(())).await;
         actor.renew().await;
         assert!(!session::has_peer(&actor.session()).await, "not yet");
 
-        *lock(&actor.alone) = Instant::now().checked_sub(STRANDED);
+        actor.session.wait_long();
         say_hello(&actor, "a", &events).await;
         until(&actor_events, |event| {
             matches!(event, ActorEvent::LearnerJoined(LEARNER)).then_some(())
@@ -543,7 +518,7 @@ mod tests {
 
         actor.close().await.unwrap();
         assert!(matches!(actor.health().unwrap_err(), Error::Dead));
-        *lock(&actor.alone) = Instant::now().checked_sub(STRANDED);
+        actor.session.wait_long();
         actor.renew().await;
         assert!(matches!(actor.health().unwrap_err(), Error::Dead));
     }

@@ -30,14 +30,14 @@ pub(crate) async fn runs(session: &Session) -> Result<BTreeSet<RunName>> {
 }
 
 /// Finds a run: the named one, or the only one present. Looks until `settings.timeout` has passed since `started`, and for
-/// [`WRONG_RUN_GRACE`] while only other runs are present.
+/// [`WRONG_RUN_GRACE`] while only other runs are present. Every look is on the session that is `current` then.
 ///
 /// # Errors
 ///
 /// [`Error::SeveralRuns`] if none was named and several are present, [`Error::RunNotFound`] if only others than the named one
 /// are; [`Error::NoLearner`] if none is.
 pub(crate) async fn find(
-    session: &Session,
+    current: impl Fn() -> Session,
     settings: &ConnectSettings,
     wanted: Option<&RunName>,
     started: Instant,
@@ -46,7 +46,7 @@ pub(crate) async fn find(
     let endpoints = || session::describe(&settings.endpoints);
     let mut pause = RETRY.0;
     loop {
-        let mut runs = runs(session).await?;
+        let mut runs = runs(&current()).await?;
         match wanted {
             Some(run) if runs.contains(run) => return Ok(run.clone()),
             None if runs.len() > 1 => {

@@ -1,24 +1,22 @@
 //! The observer's end: reads presence, metrics, announcements and weights, and touches nothing.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ABOUT, HISTORY, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
 use tracing::warn;
-use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
-use zenoh::session::Session;
 
 use crate::keys::{self, FROM, Key, Keys, Member, POINTS};
 use crate::latest::{Events, Latest};
-use crate::lock::lock;
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
-use crate::{ConnectSettings, Result, ask, discovery, session, weights, wire};
+use crate::redial::LastingSession;
+use crate::{ConnectSettings, Result, ask, discovery, weights, wire};
 
 /// Places in the event queue for metrics.
 const N_BULK: usize = 4_096;
@@ -57,23 +55,21 @@ pub enum ObserverEvent {
 pub struct ObserverLink {
     events: EventQueue<ObserverEvent>,
     latest: Arc<Latest<ObserverEvent>>,
-    followed: Mutex<Vec<Subscriber<()>>>,
     n_missed: Arc<AtomicU64>,
-    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
-    session: Session,
+    session: Arc<LastingSession>,
 }
 
 impl ObserverLink {
-    /// Connects to a learner or a router.
+    /// Connects to a learner or a router. From now on a connection that has had nobody at its other end for ten seconds is
+    /// replaced by another.
     ///
     /// # Errors
     ///
     /// [`crate::Error::Unreachable`] if nobody answers within the settings' time-out.
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
-        let session = session::connect(settings).await?;
+        let session = LastingSession::open(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
-        let (followed, n_missed) = (Mutex::default(), Arc::default());
-        Ok((Self { events, latest, followed, n_missed, session }, receiver))
+        Ok((Self { events, latest, n_missed: Arc::default(), session }, receiver))
     }
 
     /// Lists the runs that are there now.
@@ -82,7 +78,7 @@ impl ObserverLink {
     ///
     /// [`crate::Error::Network`] if the network cannot be asked.
     pub async fn runs(&self) -> Result<BTreeSet<RunName>> {
-        discovery::runs(&self.session).await
+        discovery::runs(&self.session.now()).await
     }
 
     /// Finds the run: the named one, or the only one present. Looks until the settings'
@@ -96,7 +92,8 @@ impl ObserverLink {
         settings: &ConnectSettings,
         wanted: Option<RunName>,
     ) -> Result<RunName> {
-        discovery::find(&self.session, settings, wanted.as_ref(), Instant::now()).await
+        let current = || self.session.now();
+        discovery::find(current, settings, wanted.as_ref(), Instant::now()).await
     }
 
     /// Follows a run from now on, whether it is there already or not.
@@ -105,25 +102,28 @@ impl ObserverLink {
     ///
     /// [`crate::Error::Network`] if it cannot be subscribed to.
     pub fn follow(&self, run: &RunName) -> Result<()> {
-        let (events, latest) = (self.events.clone(), Arc::clone(&self.latest));
-        let missed = Arc::clone(&self.n_missed);
-        let metrics = subscribe(&self.session, Keys::MetricsOf(run), move |sample| {
-            on_metrics(&events, &missed, &sample);
-        })?;
-        let announcements = subscribe(&self.session, Keys::AnnouncementsOf(run), move |sample| {
-            on_announcement(&latest, &sample);
-        })?;
-        let events = self.events.clone();
-        let members = watch(&self.session, Keys::MembersOf(run), move |alive, kind| {
-            let Some(keys::Alive { member, incarnation, .. }) = alive else { return };
-            let event = match kind {
-                SampleKind::Put => ObserverEvent::Joined(member, incarnation),
-                SampleKind::Delete => ObserverEvent::Left(member, incarnation),
-            };
-            drop(events.offer(event, Class::Presence));
-        })?;
-        lock(&self.followed).extend([metrics, announcements, members]);
-        Ok(())
+        let (run, events) = (run.clone(), self.events.clone());
+        let (latest, n_missed) = (Arc::clone(&self.latest), Arc::clone(&self.n_missed));
+        self.session.subscribe(move |session| {
+            let (told, missed) = (events.clone(), Arc::clone(&n_missed));
+            let metrics = subscribe(session, Keys::MetricsOf(&run), move |sample| {
+                on_metrics(&told, &missed, &sample);
+            })?;
+            let newest = Arc::clone(&latest);
+            let announcements = subscribe(session, Keys::AnnouncementsOf(&run), move |sample| {
+                on_announcement(&newest, &sample);
+            })?;
+            let told = events.clone();
+            let members = watch(session, Keys::MembersOf(&run), move |alive, kind| {
+                let Some(keys::Alive { member, incarnation, .. }) = alive else { return };
+                let event = match kind {
+                    SampleKind::Put => ObserverEvent::Joined(member, incarnation),
+                    SampleKind::Delete => ObserverEvent::Left(member, incarnation),
+                };
+                drop(told.offer(event, Class::Presence));
+            })?;
+            Ok(vec![metrics, announcements, members])
+        })
     }
 
     /// Pulls a version of the weights that was announced.
@@ -139,7 +139,7 @@ impl ObserverLink {
         sha256: [u8; 32],
     ) -> Result<Vec<u8>> {
         let (key, timeout) = (Key::Weights(run, domain), ask::PULL_TIMEOUT);
-        ask::pull(&self.session, key, version, sha256, timeout).await
+        ask::pull(&self.session.now(), key, version, sha256, timeout).await
     }
 
     /// Asks a run's learner what the run is. Returns the learner's start and its answer, JSON.
@@ -150,7 +150,7 @@ impl ObserverLink {
     /// [`crate::Error::BadAnswer`] if it is of another release.
     pub async fn ask_about(&self, run: &RunName) -> Result<(Incarnation, Vec<u8>)> {
         let (key, no_parameters) = (Key::About(run), String::new());
-        ask::ask_bytes(&self.session, key, no_parameters, ABOUT, ABOUT_TIMEOUT).await
+        ask::ask_bytes(&self.session.now(), key, no_parameters, ABOUT, ABOUT_TIMEOUT).await
     }
 
     /// Asks a run's learner for its updates from a number on, thinned to so many points. Returns the learner's start and
@@ -167,7 +167,7 @@ impl ObserverLink {
     ) -> Result<(Incarnation, Vec<u8>)> {
         let parameters = format!("{FROM}={from};{POINTS}={n_points}");
         let key = Key::History(run);
-        ask::ask_bytes(&self.session, key, parameters, HISTORY, HISTORY_TIMEOUT).await
+        ask::ask_bytes(&self.session.now(), key, parameters, HISTORY, HISTORY_TIMEOUT).await
     }
 
     /// Returns how many messages there was no room for so far.
@@ -181,7 +181,7 @@ impl ObserverLink {
     ///
     /// [`crate::Error::NoAnswer`] if nobody answers, or an access list is in the way.
     pub async fn round_trip(&self, run: &RunName) -> Result<Duration> {
-        ask::round_trip(&self.session, run).await
+        ask::round_trip(&self.session.now(), run).await
     }
 
     /// Leaves the network, within a limited time.
@@ -190,7 +190,7 @@ impl ObserverLink {
     ///
     /// [`crate::Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
-        session::close(&self.session).await
+        self.session.close().await
     }
 }
 
@@ -218,5 +218,38 @@ fn on_announcement(latest: &Latest<ObserverEvent>, sample: &Sample) {
             latest.put(&key, ObserverEvent::Announcement { domain, announcement });
         }
         Err(refusal) => warn!(%refusal, "announcement refused"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_observer_whose_connection_leads_nowhere_goes_on_with_another() {
+        let (site, elsewhere) = (Site::new(), Site::new());
+        let (learner, _events) = site.learner().await;
+        let (observer, seen) = ObserverLink::open(&site.connect()).await.unwrap();
+        observer.follow(&run("one")).unwrap();
+        let joined = |event: ObserverEvent| {
+            matches!(event, ObserverEvent::Joined(Member::Learner, LEARNER)).then_some(())
+        };
+        until(&seen, joined).await;
+
+        observer.session.strand(elsewhere.raw("peer").await).await;
+        observer.session.look_long_after().await;
+        until(&seen, joined).await;
+        assert_eq!(observer.find_run(&site.connect(), None).await.unwrap(), run("one"));
+        learner.publish_metrics(b"{}").unwrap();
+        let metrics = until(&seen, |event| match event {
+            ObserverEvent::Metrics { json, .. } => Some(json),
+            _ => None,
+        });
+        assert_eq!(metrics.await, b"{}");
+
+        observer.close().await.unwrap();
+        observer.session.look_long_after().await;
+        assert!(observer.session.now().is_closed(), "nothing takes the place of what was closed");
     }
 }

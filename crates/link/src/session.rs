@@ -136,6 +136,9 @@ pub(crate) fn describe(endpoints: &[Endpoint]) -> String {
 }
 
 /// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
+///
+/// A client of a router has all of its run declared on this one session, which is not replaced as [`crate::redial`] does: if its
+/// connection ends while it begins, the learner logs that it waits for actors, and has to be started again.
 pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;

@@ -46,7 +46,7 @@ pub mod prune;
 pub mod race;
 pub mod record;
 mod recorder;
-mod regular;
+pub mod regular;
 pub mod report;
 mod run_files;
 pub mod scratch;

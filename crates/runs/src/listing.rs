@@ -17,6 +17,9 @@ use crate::{ForkOrigin, RunRecord, held_out, journal};
 const HEAD: &str =
     "run,domain,state,updates,steps,success,return,held out,weights,reproducible,forked from";
 const MAIN: [usize; 7] = [0, 1, 2, 4, 5, 6, 7];
+/// Which of the main columns stand back where a terminal has too little room, the first one first: a name, which is typed again,
+/// has to be whole, and mostly holds the domain.
+const DISPENSABLE: [usize; 5] = [1, 5, 3, 4, 6];
 /// Hexadecimal digits of a digest in a row.
 const DIGEST_DIGITS: usize = 12;
 
@@ -73,7 +76,10 @@ impl ListedRun {
         let head: Vec<&str> = HEAD.split(',').collect();
         let shown = if all { (0..head.len()).collect() } else { MAIN.to_vec() };
         let columns = shown.iter().map(|&i| head[i]);
-        let mut table = Table::new(columns).left(&[0, 1, 2, 8, 9, 10]).elastic(0);
+        let mut table = Table::new(columns).left(&[0, 1, 2, 8, 9, 10]);
+        if !all {
+            table = table.dispensable(&DISPENSABLE);
+        }
         for cells in rows.iter().map(Self::cells) {
             table.push(shown.iter().map(|&i| cells[i].as_str()));
         }
@@ -154,5 +160,32 @@ fn unreadable(path: &Path, error: &RecordError) -> ListedRun {
         state: "unreadable",
         problem: Some(with_causes(error)),
         ..ListedRun::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_is_whole_however_narrow_the_terminal_is() {
+        let name = "table1-piloting-convey-react-0123456789ab-s201";
+        let rows = [ListedRun {
+            name: name.to_owned(),
+            domain: "lander".to_owned(),
+            state: "unfinished",
+            steps: 1_600_000,
+            success: Some(0.5),
+            episode_return: Some(-123.4),
+            held_out: Some(0.5),
+            ..ListedRun::default()
+        }];
+        let shown = |width| ListedRun::table(&rows, false).text_within(width);
+        for (width, columns) in [(200, 7), (80, 4), (60, 2), (40, 2)] {
+            let text = shown(width);
+            let cells = text.lines().nth(2).unwrap_or_default().split_whitespace();
+            assert_eq!(cells.clone().next(), Some(name), "{text}");
+            assert_eq!(cells.count(), columns, "{text}");
+        }
     }
 }

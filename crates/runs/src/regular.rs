@@ -1,6 +1,6 @@
 //! Reads regular files only.
 //!
-//! Anything may lie where a run's files are looked for. A pipe would keep its reader waiting for ever.
+//! Anything may lie where a run's files are looked for, or be given for one. A pipe would keep its reader waiting for ever.
 
 use std::fs::{self, File};
 use std::io::{self, Read as _};
@@ -20,7 +20,11 @@ pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
 }
 
 /// Reads a whole file of text.
-pub(crate) fn read_to_string(path: &Path) -> io::Result<String> {
+///
+/// # Errors
+///
+/// If it is not there, is something else than a file, cannot be read, or holds something else than text.
+pub fn read_to_string(path: &Path) -> io::Result<String> {
     let mut text = String::new();
     open(path)?.read_to_string(&mut text)?;
     Ok(text)

@@ -1,7 +1,7 @@
 //! What can be trained on: the worlds that build environments, and the configurations that come with them.
 
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 use leadtime_config::{Catalog, Config, ConfigError, ConfigSource, Layer};
 use leadtime_proto::phrase::no_such;
@@ -9,6 +9,8 @@ use leadtime_proto::{EnvId, TaskSpec};
 use leadtime_sims::{DomainEntry, EpisodeSeed, Fact, Registry};
 use leadtime_worker::Workers;
 use thiserror::Error;
+
+use crate::regular;
 
 /// Why a configuration cannot be loaded.
 #[derive(Debug, Error)]
@@ -86,7 +88,7 @@ impl Tasks {
 
     fn read(&self, file: &Path) -> Result<Layer, ConfigureError> {
         let built_in = file.to_str().and_then(|name| self.catalog.file(name));
-        match (fs::read_to_string(file), built_in) {
+        match (regular::read_to_string(file), built_in) {
             (Ok(text), _) => Ok(Layer::text(format!("configuration {}", file.display()), text)),
             (Err(_), Some(built_in)) => Ok(built_in),
             (Err(error), None) if error.kind() == io::ErrorKind::NotFound => {

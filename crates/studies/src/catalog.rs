@@ -1,9 +1,9 @@
 //! The studies that come with the program.
 
-use std::fs;
 use std::path::Path;
 
 use leadtime_proto::phrase::no_such;
+use leadtime_runs::regular;
 
 use crate::error::{Error, Placed as _, ensure};
 use crate::study::Study;
@@ -66,7 +66,7 @@ pub fn find(name: impl AsRef<Path>) -> Result<Vec<NamedStudy>, Error> {
         let known: Vec<&str> = names().chain([ALL]).collect();
         no_such("study or .toml file", name, known)
     })?;
-    let text = fs::read_to_string(path).map_err(Error::file("reading", path))?;
+    let text = regular::read_to_string(path).map_err(Error::file("reading", path))?;
     let place = format!("study {}", path.display());
     let study = Study::parse(&place, &text)?;
     let stem = path.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::escape;
+use crate::{escape, wrapped};
 
 /// A head and rows of equally many cells.
 ///
@@ -24,9 +24,13 @@ pub struct Table {
     left: Vec<usize>,
     /// The column whose texts may be shortened in their middle.
     elastic: Option<usize>,
+    /// The column whose texts may take several lines.
+    flowing: Option<usize>,
+    /// The columns that are left out where there is no room, the first one first.
+    dispensable: Vec<usize>,
 }
 
-/// The fewest characters that a shortened text keeps.
+/// The fewest characters that a text keeps which is shortened, or a line of one that takes several.
 const SHORTEST: usize = 16;
 
 /// One cell of a table.
@@ -66,7 +70,8 @@ impl Table {
     /// A table with an empty head has none where the form allows it.
     pub fn new<C: Into<TableCell>>(head: impl IntoIterator<Item = C>) -> Self {
         let head = head.into_iter().map(Into::into).collect();
-        Self { head, rows: Vec::new(), left: vec![0], elastic: None }
+        let (rows, dispensable) = (Vec::new(), Vec::new());
+        Self { head, rows, left: vec![0], elastic: None, flowing: None, dispensable }
     }
 
     /// Aligns these columns to the left, and all others to the right.
@@ -77,6 +82,16 @@ impl Table {
     /// Lets the texts of a column be shortened in their middle where the table is too wide.
     pub fn elastic(self, column: usize) -> Self {
         Self { elastic: Some(column), ..self }
+    }
+
+    /// Lets the texts of a column take several lines where the table is too wide.
+    pub fn flowing(self, column: usize) -> Self {
+        Self { flowing: Some(column), ..self }
+    }
+
+    /// Lets columns be left out where the table is too wide: the first of these first, and no more of them than need be.
+    pub fn dispensable(self, columns: &[usize]) -> Self {
+        Self { dispensable: columns.to_vec(), ..self }
     }
 
     /// Adds a row; a short one is filled with empty cells.
@@ -92,16 +107,23 @@ impl Table {
     }
 
     /// Writes the table as plain text with lines of at most `width` characters, as far as possible: where it is too wide,
-    /// notes stand below their texts, the elastic column is shortened, and what still does not fit follows in further
-    /// blocks that repeat the first column.
+    /// dispensable columns are left out, notes stand below their texts, the elastic column is shortened, the flowing one takes
+    /// several lines, and what still does not fit follows in further blocks that repeat the first column.
     pub fn text_within(&self, width: usize) -> String {
         let mut texts = self.texts();
+        if let Some(&column) = self.dispensable.first()
+            && texts.width() > width
+        {
+            return self.without(column).text_within(width);
+        }
         if texts.width() > width {
             texts = Texts { rows: self.stacked(), ..texts };
         }
         if let Some(column) = self.elastic {
-            let excess = texts.width().saturating_sub(width);
-            texts.shorten(column, texts.widths[column].saturating_sub(excess).max(SHORTEST));
+            texts.shorten(column, texts.room_for(column, width));
+        }
+        if let Some(column) = self.flowing {
+            texts.flow(column, texts.room_for(column, width));
         }
         let texts = texts.measured();
         let (mut blocks, mut from) = (Vec::new(), 1);
@@ -118,6 +140,23 @@ impl Table {
             from = to;
         }
         blocks.join("\n")
+    }
+
+    /// Returns the same without a column.
+    fn without(&self, column: usize) -> Self {
+        let others = |cells: &[TableCell]| {
+            let kept = cells.iter().enumerate().filter(|(i, _)| *i != column);
+            kept.map(|(_, cell)| cell.clone()).collect::<Vec<_>>()
+        };
+        let moved = |i: &usize| (*i != column).then(|| if *i > column { i - 1 } else { *i });
+        Self {
+            head: others(&self.head),
+            rows: self.rows.iter().map(|row| others(row)).collect(),
+            left: self.left.iter().filter_map(moved).collect(),
+            elastic: self.elastic.as_ref().and_then(moved),
+            flowing: self.flowing.as_ref().and_then(moved),
+            dispensable: self.dispensable.iter().filter_map(moved).collect(),
+        }
     }
 
     fn texts(&self) -> Texts<'_> {
@@ -191,6 +230,30 @@ impl Texts<'_> {
         self.widths.iter().sum::<usize>() + GAP.len() * self.widths.len().saturating_sub(1)
     }
 
+    /// Returns how many characters of a column leave room for the others in lines of `width`.
+    fn room_for(&self, column: usize, width: usize) -> usize {
+        let excess = self.width().saturating_sub(width);
+        self.widths[column].saturating_sub(excess).max(SHORTEST)
+    }
+
+    /// Breaks a column's texts of more than `most` characters between words; what follows gets rows of its own.
+    fn flow(&mut self, column: usize, most: usize) {
+        let n_columns = self.head.len();
+        let broken = |mut row: Vec<String>| {
+            let text = wrapped(&row[column], most, 0);
+            let mut lines = text.lines().map(str::to_owned);
+            row[column] = lines.next().unwrap_or_default();
+            let more = lines.map(|line| {
+                let mut row = vec![String::new(); n_columns];
+                row[column] = line;
+                row
+            });
+            let more: Vec<_> = more.collect();
+            std::iter::once(row).chain(more)
+        };
+        self.rows = std::mem::take(&mut self.rows).into_iter().flat_map(broken).collect();
+    }
+
     /// Cuts the middle out of a column's texts of more than `most` characters.
     fn shorten(&mut self, column: usize, most: usize) {
         for row in &mut self.rows {
@@ -260,6 +323,35 @@ mod tests {
         assert!(text.contains("table1-pil\u{2026}789ab-s201  1600000"), "{text}");
         assert!(text.lines().all(|line| line.chars().count() <= 30), "{text}");
         assert!(text.contains("\nshort "), "{text}");
+    }
+
+    #[test]
+    fn a_flowing_column_takes_lines_and_loses_nothing() {
+        let mut table = Table::new(["name", "meaning", "unit"]).left(&[0, 1, 2]).flowing(1);
+        table.push(["wet", "the floor in front of the person is wet", "0 or 1"]);
+        table.push(["dry", "", "m"]);
+        assert_eq!(table.text_within(80), table.text());
+        let rows = "wet   the floor in front of  0 or 1\n      the person is wet\ndry                          m\n";
+        let text = table.text_within(36);
+        assert!(text.ends_with(rows) && text.lines().all(|l| l.chars().count() <= 36), "{text}");
+    }
+
+    #[test]
+    fn dispensable_columns_are_left_out_one_after_the_other_and_texts_stay_whole() {
+        let mut table =
+            Table::new(["run", "domain", "state", "steps"]).left(&[0, 1, 2]).dispensable(&[1, 3]);
+        let name = "table1-piloting-convey-react-0123456789ab-s201";
+        table.push([name, "lander", "finished", "1600000"]);
+        table.push(["short", "lander", "unfinished", "1"]);
+        assert_eq!(table.text_within(80), table.text());
+        let text = table.text_within(70);
+        let head = format!("{:46}  state         steps", "run");
+        assert_eq!(text.lines().next(), Some(head.as_str()));
+        assert!(text.contains(&format!("{name}  finished    1600000\n")), "{text}");
+        let text = table.text_within(60);
+        assert!(text.contains(&format!("{name}  finished\n")) && !text.contains("steps"), "{text}");
+        let text = table.text_within(20);
+        assert!(text.contains(name), "{text}");
     }
 
     #[test]

@@ -567,7 +567,10 @@ impl RunView {
         let n_left = self.total_updates.saturating_sub(newest);
         let is_going = phase == RunPhase::Training && n_left > 0;
         let left = self.speed().filter(|speed| is_going && *speed > 0.0);
-        let rate = self.speed().map(|speed| (speed * self.steps_per_update()).round());
+        let rate = self.speed().map(|speed| speed * self.steps_per_update());
+        // The speed of a single update says little, but it is all there is at first. A run that has ended has no speed.
+        let rate =
+            rate.or_else(|| number("system/steps_per_second")).filter(|_| !self.is_over(now));
         json!({
             "schema": SCHEMA,
             "run": self.run,
@@ -578,7 +581,7 @@ impl RunView {
             "total_updates": self.total_updates,
             "steps": self.last.get("steps"),
             "seconds_left": left.map(|speed| (n_left as f64 / speed).round()),
-            "steps_per_second": rate.or_else(|| number("system/steps_per_second").map(f64::round)),
+            "steps_per_second": rate.map(f64::round),
             "success": number("episodes/success"),
             "return": number("episodes/return"),
             "version": self.version,

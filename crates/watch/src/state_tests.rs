@@ -45,6 +45,26 @@ fn the_head_line_says_how_far_a_run_is_and_how_long_it_takes() {
 }
 
 #[test]
+fn a_run_that_has_ended_has_no_speed_and_no_time_left() {
+    let speed = |view: &RunView, now| view.state_json(now)["steps_per_second"].clone();
+    for (how, phase) in [("finished", RunPhase::Finished), ("stopped", RunPhase::Stopped)] {
+        let mut view = at_update(40);
+        view.learner_says("01", json!({"kind": "end", "how": how}), 1040.0);
+        assert_eq!((view.phase(1040.0), speed(&view, 1040.0)), (phase, Value::Null));
+        assert_eq!(view.state_json(1040.0)["seconds_left"], Value::Null);
+        assert_eq!(view.state_json(1040.0)["update"], 40, "what it came to stays");
+    }
+    let mut killed = at_update(40);
+    killed.learner_left("01", 1040.0);
+    assert_eq!((killed.phase(1041.0), speed(&killed, 1041.0)), (RunPhase::Lost, Value::Null));
+    // After a single update it is the speed that its line says, and that too is over once nobody works in the directory.
+    let mut one = at_update(1);
+    assert_eq!(speed(&one, 1001.0), 64.0);
+    one.on_disk(Some("stopped"), 1001.0);
+    assert_eq!(speed(&one, 1001.0), Value::Null);
+}
+
+#[test]
 fn phases_books_and_staleness_come_with_an_update() {
     let update = at_update(40).update_json(1040.25);
     assert_eq!(update["phases"]["wait"], 0.62);

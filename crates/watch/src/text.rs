@@ -223,7 +223,7 @@ mod tests {
         view.learner_says("01", json!({"kind": "roster", "actors": [{"id": evil}]}), 2.0);
         let told = screen(&view, 2.0);
         assert!(!told.contains('\u{1b}') && !told.lines().any(|line| line == "faked"), "{told}");
-        assert!(told.contains("h 00m left"), "{told}");
+        assert!(told.contains("d 07h left"), "{told}");
         assert!(told.contains("messages are refused"), "{told}");
     }
 

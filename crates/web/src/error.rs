@@ -9,10 +9,13 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 pub enum Error {
     /// The text is no address.
-    #[error(
-        "`{0}` is not an address: write IP:PORT, such as 127.0.0.1:8080, [::1]:8080 or localhost:8080"
-    )]
-    NotAnAddress(String),
+    #[error("`{text}` is not an address: write IP:PORT, such as {usual}, or localhost:PORT")]
+    NotAnAddress {
+        /// What was given.
+        text: String,
+        /// Where the same is served if nothing else is said.
+        usual: &'static str,
+    },
     /// Another process listens there.
     #[error("{0} is in use: stop what listens there, or choose another port (0 takes a free one)")]
     AddressInUse(SocketAddr),

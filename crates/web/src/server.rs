@@ -43,6 +43,7 @@ const MAX_HEAD_BYTES: usize = 64 << 10;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Reads an address: `127.0.0.1:8080`, `[::1]:0`, `localhost:8080`. No name but `localhost` is looked up.
+/// `usual` is the address that is suggested to who wrote none.
 ///
 /// # Errors
 ///
@@ -51,14 +52,17 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 /// # Example
 ///
 /// ```
-/// assert!(leadtime_web::parse_address("localhost:0")?.ip().is_loopback());
-/// assert!(leadtime_web::parse_address("8080").is_err());
+/// let usual = "127.0.0.1:8080";
+/// assert!(leadtime_web::parse_address("localhost:0", usual)?.ip().is_loopback());
+/// assert!(leadtime_web::parse_address("8080", usual).is_err());
 /// # Ok::<(), leadtime_web::Error>(())
 /// ```
-pub fn parse_address(text: &str) -> Result<SocketAddr, Error> {
+pub fn parse_address(text: &str, usual: &'static str) -> Result<SocketAddr, Error> {
     let local = text.strip_prefix("localhost:").and_then(|port| port.parse().ok());
     let local = local.map(|port: u16| SocketAddr::from((Ipv4Addr::LOCALHOST, port)));
-    local.or_else(|| text.parse().ok()).ok_or_else(|| Error::NotAnAddress(text.to_owned()))
+    let address = local.or_else(|| text.parse().ok());
+    let shown = || text.escape_debug().take(80).collect();
+    address.ok_or_else(|| Error::NotAnAddress { text: shown(), usual })
 }
 
 /// A port that is taken, and not served yet.
@@ -222,8 +226,10 @@ mod tests {
     #[test]
     fn what_is_no_address_is_named() {
         for text in ["", "8080", "localhost", "localhost:x", "127.0.0.1:99999", "example.org:80"] {
-            let error = parse_address(text).unwrap_err().to_string();
-            assert!(error.contains(&format!("`{text}` is not an address")), "{error}");
+            let error = parse_address(text, "127.0.0.1:9464").unwrap_err().to_string();
+            let told =
+                format!("`{text}` is not an address: write IP:PORT, such as 127.0.0.1:9464,");
+            assert!(error.starts_with(&told), "{error}");
         }
     }
 

@@ -7,6 +7,8 @@ use clap::Args;
 
 /// Where a status is looked for if nothing else is said.
 pub(crate) const STATUS_ADDRESS: &str = "127.0.0.1:9464";
+/// Where the page of a run is served if nothing else is said.
+pub(crate) const PAGE_ADDRESS: &str = "127.0.0.1:8080";
 
 /// `leadtime health`
 #[derive(Debug, Args)]

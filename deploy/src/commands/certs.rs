@@ -1,7 +1,6 @@
 //! `leadtime certs`: an authority of one's own, and a certificate for every process.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 use std::{fs, io};
 
 use anyhow::Context as _;
@@ -140,19 +139,10 @@ fn renew(args: &CertsRenewArgs) -> anyhow::Result<()> {
         output::line(&line("renewed", issued));
     }
     if renewed.is_empty() {
-        let (directory, before) = (args.directory.display(), span(args.before));
+        let (directory, before) = (args.directory.display(), duration(args.before));
         output::line(&format!("no certificate in {directory} ends within {before}"));
     }
     Ok(())
-}
-
-/// Writes a time as it can be given: whole days as days.
-fn span(time: Duration) -> String {
-    const DAY: u64 = 24 * 3_600;
-    match time.as_secs() {
-        seconds if seconds >= DAY && seconds.is_multiple_of(DAY) => format!("{}d", seconds / DAY),
-        _ => duration(time),
-    }
 }
 
 fn show(args: &CertsShowArgs) -> anyhow::Result<()> {
@@ -224,16 +214,5 @@ fn remaining(left: SignedDuration) -> String {
         _ if days >= 2 => format!("in {days} days"),
         seconds if seconds >= 7_200 => format!("in {} hours", seconds / 3_600),
         seconds => format!("in {}", counted(seconds, "second")),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn whole_days_are_written_as_days() {
-        let texts = [720, 24, 36, 1].map(|hours| span(Duration::from_hours(hours)));
-        assert_eq!(texts, ["30d", "1d", "36h 00m", "1h 00m"]);
     }
 }

@@ -16,7 +16,7 @@ use crate::build::this_build;
 use crate::cli::CompareArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::WIDTH;
-use crate::shutdown::{Watch, watch};
+use crate::shutdown::{Watch, drain_on_request, unless_drained, watch};
 use crate::{logging, output, terminal};
 
 /// Pause between two plain lines.
@@ -33,6 +33,7 @@ pub(super) async fn run(tasks: &Tasks, args: &CompareArgs) -> Result<(), Failure
         return Ok(());
     }
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let done = session.carry_out(crew, &mut Console::default(), &shutdown).await;
     let command = output::this_command();
     match &done {
@@ -44,7 +45,8 @@ pub(super) async fn run(tasks: &Tasks, args: &CompareArgs) -> Result<(), Failure
         }
         Err(_) => {}
     }
-    done.map_err(failure)
+    unless_drained(done.map_err(failure), &drained)?;
+    Ok(())
 }
 
 fn request(args: &CompareArgs) -> Result<StudyRequest, Failure> {

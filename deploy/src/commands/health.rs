@@ -5,7 +5,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
 use anyhow::anyhow;
-use leadtime_proto::text::{printable, quoted};
+use leadtime_proto::text::printable;
 
 use crate::cli::{HealthArgs, STATUS_ADDRESS};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -17,12 +17,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 const MAX_ANSWER: u64 = 64 << 10;
 
 pub(super) fn run(args: &HealthArgs) -> Result<(), Failure> {
-    let address = leadtime_web::parse_address(&args.address).map_err(|_unspecific| {
-        let given = quoted(&args.address);
-        Failure::input(format!(
-            "`{given}` is not an address: write IP:PORT, such as {STATUS_ADDRESS}"
-        ))
-    })?;
+    let address = leadtime_web::parse_address(&args.address, STATUS_ADDRESS);
+    let address = address.blame(ExitCode::WrongInput)?;
     let path = if args.live { "/live" } else { "/ready" };
     let answer = ask(address, path).map_err(|error| {
         anyhow!("nobody answers at {address}: {error}; start a learner or an actor with --status {address}")

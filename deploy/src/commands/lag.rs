@@ -28,7 +28,8 @@ const ENOUGH: f64 = 0.95;
 ///
 /// # Errors
 ///
-/// [`Failure`] if the configuration has no lag or its run is begun, if a trial fails, or if it is too short for an update.
+/// [`Failure`] if the configuration has no lag or its run is begun, if a trial fails, if it is too short for an update, or if the
+/// program is asked to end meanwhile.
 pub(super) async fn choose(
     tasks: &Tasks,
     args: &UpArgs,
@@ -54,7 +55,13 @@ pub(super) async fn choose(
             stderr_log: Some(log.clone()),
             ..Launch::new(Naming::Resume, args.actors)
         };
-        let run = outcome(carry_out(&trial, &what, shutdown).await?).inspect_err(|_silent| {
+        let launched = carry_out(&trial, &what, shutdown).await?;
+        // A trial that was cut short tells nothing, however it ended.
+        if shutdown.is_cancelled() {
+            output::note("\nNo lag is chosen, and no run is begun.");
+            return Err(Failure::silent(ExitCode::Interrupted));
+        }
+        let run = outcome(launched).inspect_err(|_silent| {
             if let Ok(text) = fs::read_to_string(&log) {
                 output::say(text.trim_end());
             }

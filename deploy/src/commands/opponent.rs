@@ -1,10 +1,10 @@
 //! Who `--baseline` means: a script of the task, a script in a file, or the oracle.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use leadtime_eval::measure::Player;
+use leadtime_runs::regular;
 use leadtime_scripts::{Oracle, OracleBase, Script, ScriptPlayer};
 use leadtime_sims::Environment;
 
@@ -53,6 +53,7 @@ fn stem(name: &Path) -> String {
 }
 
 fn read(file: &Path) -> anyhow::Result<Script> {
-    let text = fs::read_to_string(file).with_context(|| format!("reading {}", file.display()))?;
+    let text = regular::read_to_string(file);
+    let text = text.with_context(|| format!("reading {}", file.display()))?;
     Script::read(&text).with_context(|| format!("script {}", file.display()))
 }

@@ -15,7 +15,7 @@ use super::launch::{carry_out, outcome};
 use crate::cli::RaceArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT, WIDTH};
-use crate::shutdown::{Watch, unless_cancelled, watch};
+use crate::shutdown::{Watch, drain_on_request, unless_cancelled, unless_drained, watch};
 
 pub(super) async fn run(
     tasks: &Tasks,
@@ -44,12 +44,14 @@ pub(super) async fn run(
     race.check().blame(ExitCode::WrongInput)?;
     output::note(&race.cost().to_string());
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let mut work = RaceWork { tasks, args, options, shutdown: &shutdown, race };
     let carried_out = work.carry_out().await;
     if shutdown.is_cancelled() {
         output::note("\nThe same command goes on with the race.");
     }
-    carried_out
+    unless_drained(carried_out, &drained)?;
+    Ok(())
 }
 
 /// A race under way.
@@ -143,7 +145,7 @@ impl RaceWork<'_> {
             return;
         }
         let head = ["run", "at a quarter", "at the end", ""].map(str::to_owned);
-        let mut table = Table::new(head).left(&[0, 3]).elastic(0);
+        let mut table = Table::new(head).left(&[0, 3]).dispensable(&[1]);
         for racer in 0..self.race.racers.len() {
             let [quarter, last] = [RaceStage::Quarter, RaceStage::Final]
                 .map(|stage| words(self.race.score(racer, stage)));

@@ -13,7 +13,7 @@ use serde_json::json;
 
 use crate::cli::{PruneArgs, RunsArgs, RunsCommand};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output::{self, WIDTH};
+use crate::{output, terminal};
 
 pub(super) fn run(args: &RunsArgs) -> Result<(), Failure> {
     match &args.command {
@@ -80,11 +80,12 @@ fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints the columns that fit a terminal, or all. Names are shortened only for a terminal: a script needs whole ones.
+/// Prints the columns for which a terminal has room, or all. Scripts get every main column.
 fn print(rows: &[ListedRun], all: bool) {
     let table = ListedRun::table(rows, all);
     let is_whole = all || !io::stdout().is_terminal();
-    output::line(if is_whole { table.text() } else { table.text_within(WIDTH) }.trim_end());
+    let text = if is_whole { table.text() } else { table.text_within(terminal::columns()) };
+    output::line(text.trim_end());
 }
 
 fn compare(args: &RunsArgs, first: &Path, second: &Path) -> anyhow::Result<()> {

@@ -15,7 +15,7 @@ use leadtime_serve::{
     LiveService, MAX_SESSIONS, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore,
     WorkingPolicy,
 };
-use leadtime_table::Table;
+use leadtime_table::{Table, WIDTH, wrapped};
 use leadtime_taxonomy::{MAX_FACTS, Taxonomy, shipped};
 use leadtime_voice::loudspeaker::APLAY;
 use leadtime_voice::{Loudspeaker, VoiceChoice};
@@ -170,24 +170,25 @@ fn describe(policy: &WorkingPolicy, as_schema: bool) {
         if bound.is_finite() { bound.to_string() } else { String::new() }
     };
     let head = ["#", "number", "least", "greatest", "meaning"];
-    let mut table = Table::new(head).left(&[1, 4]).elastic(4);
+    let mut table = Table::new(head).left(&[1, 4]).flowing(4);
     for (i, quantity) in policy.observation().iter().enumerate() {
         let [low, high] = quantity.range.map(bound);
         table.push([i.to_string(), quantity.name.clone(), low, high, quantity.meaning.clone()]);
     }
     let (domain, n) = (&policy.domain, policy.obs_dim());
     output::line(&format!("One observation of {domain}: {}\n", counted(n, "number")));
-    output::line(table.text().trim_end());
-    output::line(&format!("\nTopics: {}", policy.session.topics().join(", ")));
+    output::line(table.text_within(WIDTH).trim_end());
+    let topics = format!("Topics: {}", policy.session.topics().join(", "));
+    output::line(&format!("\n{}", wrapped(&topics, WIDTH, 4)));
     if policy.facts().is_empty() {
         return;
     }
-    let mut facts = Table::new(["fact", "holds when"]).left(&[0, 1]).elastic(1);
+    let mut facts = Table::new(["fact", "holds when"]).left(&[0, 1]).flowing(1);
     for fact in policy.facts() {
         facts.push([fact.name.to_owned(), fact.meaning.to_owned()]);
     }
     output::line("\nFacts that an observation may tell, for sentences that presuppose them:\n");
-    output::line(facts.text().trim_end());
+    output::line(facts.text_within(WIDTH).trim_end());
 }
 
 /// Describes an observation as a JSON Schema.

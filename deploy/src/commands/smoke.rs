@@ -24,7 +24,7 @@ use super::{evaluation, play, report};
 use crate::cli::SmokeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, HEAR};
-use crate::shutdown::{Watch, unless_cancelled, watch};
+use crate::shutdown::{Watch, drain_on_request, unless_cancelled, watch};
 
 /// Episodes of a quick run.
 const QUICK_EPISODES: u32 = 10;
@@ -36,6 +36,8 @@ pub(super) async fn run(
 ) -> Result<(), Failure> {
     let config = configure(tasks, args).blame(ExitCode::WrongInput)?;
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
+    // Success would say that it has passed, so it is interrupted by that like by anything else.
+    drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     if args.quick {
         output::note("smoke --quick checks the mechanics only: nothing is claimed about learning");
     }

@@ -21,7 +21,7 @@ use crate::cli::{AccessArgs, UpArgs};
 use crate::credentials::{check_listening, guard_options};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
-use crate::shutdown::{Watch, drain_on_request, watch};
+use crate::shutdown::{Watch, drain_on_request, unless_drained, watch};
 use crate::trace_file::TraceFile;
 
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Result<(), Failure> {
@@ -37,7 +37,8 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         None => None,
     };
     if args.choose_lag {
-        let lag = lag::choose(tasks, args, &config, &shutdown).await?;
+        let chosen = lag::choose(tasks, args, &config, &shutdown).await;
+        let Some(lag) = unless_drained(chosen, &drained)? else { return Ok(()) };
         let source = args.source.changed(&[lag]);
         config = args.run.load(tasks, &source).blame(ExitCode::WrongInput)?;
     }

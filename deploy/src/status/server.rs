@@ -15,6 +15,7 @@ use leadtime_web::axum::routing::get;
 use leadtime_web::{Guard, HttpServer, parse_address};
 use tokio_util::sync::{CancellationToken, DropGuard};
 
+use crate::cli::STATUS_ADDRESS;
 use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// What the text of `/metrics` is; without it the counters of this format would be read as something else.
@@ -39,7 +40,7 @@ pub(crate) struct StatusServer(HttpServer);
 impl StatusServer {
     /// Takes the address of `--status`.
     pub(crate) async fn bind(address: &str) -> Result<Self, Failure> {
-        let bound = async { HttpServer::bind(parse_address(address)?).await };
+        let bound = async { HttpServer::bind(parse_address(address, STATUS_ADDRESS)?).await };
         let server = bound.await.map_err(|error| anyhow::Error::from(error).context("--status"));
         Ok(Self(server.blame(ExitCode::WrongInput)?))
     }

@@ -1,7 +1,7 @@
 //! What a probe found, as data, as text and as a section of a page.
 
 use leadtime_numerics::stats::{Bootstrap, Interval};
-use leadtime_table::{Table, TableCell};
+use leadtime_table::{Table, TableCell, WIDTH, wrapped};
 use serde::{Deserialize, Serialize};
 
 use crate::measure::{Difference, cell};
@@ -79,19 +79,20 @@ pub struct Score {
 }
 
 impl ProbeResult {
-    /// Writes the tables as plain text.
+    /// Writes the tables as plain text that fits a terminal.
     pub fn text(&self) -> String {
-        let [errors, exact] = self.tables().map(|table| table.text());
+        let [errors, exact] = self.tables("reactions").map(|table| table.text_within(WIDTH));
         let lines = std::iter::once(self.reading()).chain(self.results());
-        let lines: String = lines.map(|line| line + "\n").collect();
+        let lines: String = lines.map(|line| wrapped(&line, WIDTH, 2) + "\n").collect();
         format!(
-            "Mean absolute error of d_r, in steps\n\n{errors}\nShare of exact predictions, rounded\n\n{exact}{lines}"
+            "Mean absolute error of d_r, in steps, by how many reactions have begun\n\n{errors}\nShare of exact predictions, \
+             rounded\n\n{exact}\n{lines}"
         )
     }
 
     /// Writes a section of a page: tables, how to read them, and where they are from.
     pub fn markdown(&self, title: &str, provenance: &[ProvenanceDetail]) -> String {
-        let [errors, exact] = self.tables().map(|table| table.markdown());
+        let [errors, exact] = self.tables("reactions begun").map(|table| table.markdown());
         let details = provenance
             .iter()
             .map(|ProvenanceDetail { name, value }| format!("* {name}: {value}\n"));
@@ -104,11 +105,11 @@ impl ProbeResult {
         )
     }
 
-    /// Lays out errors, and shares of exact predictions.
-    fn tables(&self) -> [Table; 2] {
+    /// Lays out errors, and shares of exact predictions; `stages` heads the names of the stages.
+    fn tables(&self, stages: &'static str) -> [Table; 2] {
         let counts = ["episodes", "steps", "mean d_r", "understood"];
         let readers = || self.readers.iter().map(|reader| reader.name.as_str());
-        let first = || std::iter::once("reactions begun");
+        let first = || std::iter::once(stages);
         let mut errors = Table::new(first().chain(counts).chain(readers()));
         let mut exact = Table::new(first().chain(readers()));
         for stage in self.stages.iter().chain([&self.overall]) {

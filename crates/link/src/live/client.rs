@@ -66,7 +66,7 @@ impl LiveClientLink {
     ///
     /// [`Error::NoService`] if there is none.
     pub async fn find(&self, service: &ServiceName) -> Result<Incarnation> {
-        find(&self.session, &self.settings, service).await
+        find(|| self.session.clone(), &self.settings, service).await
     }
 
     /// Shows that this client is there, and takes what is said to it.
@@ -248,15 +248,16 @@ pub(super) async fn ask(session: &Session, key: LiveKey<'_>, question: Vec<u8>) 
     }
 }
 
-/// Waits until a notifier of this name is there, for the settings' time-out; returns its start.
+/// Waits until a notifier of this name is there, for the settings' time-out; returns its start. Every look is on the session that is
+/// `current` then.
 pub(super) async fn find(
-    session: &Session,
+    current: impl Fn() -> Session,
     settings: &ConnectSettings,
     service: &ServiceName,
 ) -> Result<Incarnation> {
     let (started, timeout) = (Instant::now(), settings.timeout);
     loop {
-        let present = present(session, LiveKey::Services).await?;
+        let present = present(&current(), LiveKey::Services).await?;
         if let Some((_, start)) = present.iter().find(|(name, _)| name == service) {
             return Ok(*start);
         }

@@ -11,6 +11,7 @@ use super::client::{LiveMessage, MAX_MESSAGES, ask, find, watch_service};
 use super::keys::{LiveKey, LiveTopic, parse_topic};
 use super::port::Arrival;
 use crate::pubsub::subscribe;
+use crate::redial::LastingSession;
 use crate::{ConnectSettings, Error, Result, session};
 
 /// The most messages that wait to be recorded; newer ones beyond them are dropped and counted.
@@ -33,14 +34,13 @@ pub struct LiveRecorderLink {
     service: ServiceName,
     n_dropped: Arc<AtomicU64>,
     presence: flume::Receiver<LiveMessage>,
-    _subscribers: Vec<Subscriber<()>>,
-    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
-    session: Session,
+    session: Arc<LastingSession>,
 }
 
 impl LiveRecorderLink {
     /// Connects to a notifier or a router, waits until the notifier is there, and takes everything that is published from
-    /// then on about one of its clients, or about all of them.
+    /// then on about one of its clients, or about all of them. A connection that has had nobody at its other end for ten seconds is
+    /// replaced by another.
     ///
     /// # Errors
     ///
@@ -51,29 +51,19 @@ impl LiveRecorderLink {
         client: Option<&ClientName>,
     ) -> Result<(Self, flume::Receiver<LiveSample>)> {
         let settings = ConnectSettings { whom: "notifier", ..settings.clone() };
-        let session = session::connect(&settings).await?;
-        find(&session, &settings, service).await?;
+        let session = LastingSession::open(&settings).await?;
+        find(|| session.now(), &settings, service).await?;
         let (sender, samples) = flume::bounded(MAX_SAMPLES);
+        let (told, presence) = flume::bounded(MAX_MESSAGES);
         let n_dropped = Arc::new(AtomicU64::new(0));
-        let subscribed = LiveTopic::ALL.into_iter().map(|topic| {
-            let (sender, n_dropped) = (sender.clone(), Arc::clone(&n_dropped));
-            let key = match client {
-                Some(client) => topic.key(service, client),
-                None => LiveKey::Any(service, topic),
-            };
-            subscribe(&session, key, move |sample| {
-                let Some((client, topic)) = parse_topic(sample.key_expr()) else { return };
-                let arrival = Arrival::new(&sample);
-                if sender.try_send(LiveSample { client, topic, arrival }).is_err() {
-                    n_dropped.fetch_add(1, Ordering::Relaxed);
-                }
-            })
-        });
-        let mut subscribers = subscribed.collect::<Result<Vec<_>>>()?;
-        let (sender, presence) = flume::bounded(MAX_MESSAGES);
-        subscribers.push(watch_service(&session, service, sender)?);
-        let service = service.clone();
-        Ok((Self { service, n_dropped, presence, _subscribers: subscribers, session }, samples))
+        let (of, only, dropped) = (service.clone(), client.cloned(), Arc::clone(&n_dropped));
+        session.subscribe(move |session| {
+            let topics = take_topics(session, &of, only.as_ref(), &sender, &dropped);
+            let mut subscribers = topics?;
+            subscribers.push(watch_service(session, &of, told.clone())?);
+            Ok(subscribers)
+        })?;
+        Ok((Self { service: service.clone(), n_dropped, presence, session }, samples))
     }
 
     /// Returns the channel that reports which starts of the notifier are present, appear and disappear.
@@ -83,7 +73,7 @@ impl LiveRecorderLink {
 
     /// Returns what asks for sessions: it can be used while messages are taken.
     pub fn asker(&self) -> SessionAsker {
-        SessionAsker { service: self.service.clone(), session: self.session.clone() }
+        SessionAsker { service: self.service.clone(), session: Arc::clone(&self.session) }
     }
 
     /// Returns how many messages nobody had room for.
@@ -97,7 +87,7 @@ impl LiveRecorderLink {
     ///
     /// [`Error::Dead`] if it is not.
     pub async fn health(&self) -> Result<()> {
-        if session::is_dead(&self.session, false).await { Err(Error::Dead) } else { Ok(()) }
+        if session::is_dead(&self.session.now(), false).await { Err(Error::Dead) } else { Ok(()) }
     }
 
     /// Leaves the network, within a limited time.
@@ -106,15 +96,40 @@ impl LiveRecorderLink {
     ///
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
-        session::close(&self.session).await
+        self.session.close().await
     }
+}
+
+/// Takes everything that is published about one client, or about all of them.
+fn take_topics(
+    session: &Session,
+    service: &ServiceName,
+    client: Option<&ClientName>,
+    sender: &flume::Sender<LiveSample>,
+    n_dropped: &Arc<AtomicU64>,
+) -> Result<Vec<Subscriber<()>>> {
+    let subscribed = LiveTopic::ALL.into_iter().map(|topic| {
+        let (sender, n_dropped) = (sender.clone(), Arc::clone(n_dropped));
+        let key = match client {
+            Some(client) => topic.key(service, client),
+            None => LiveKey::Any(service, topic),
+        };
+        subscribe(session, key, move |sample| {
+            let Some((client, topic)) = parse_topic(sample.key_expr()) else { return };
+            let arrival = Arrival::new(&sample);
+            if sender.try_send(LiveSample { client, topic, arrival }).is_err() {
+                n_dropped.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+    });
+    subscribed.collect()
 }
 
 /// Asks a notifier what its sessions are.
 #[derive(Clone, Debug)]
 pub struct SessionAsker {
     service: ServiceName,
-    session: Session,
+    session: Arc<LastingSession>,
 }
 
 impl SessionAsker {
@@ -124,6 +139,38 @@ impl SessionAsker {
     ///
     /// [`Error::NoAnswer`] if there is none.
     pub async fn ask(&self, client: &ClientName) -> Result<Vec<u8>> {
-        ask(&self.session, LiveKey::Session(&self.service, client), Vec::new()).await
+        ask(&self.session.now(), LiveKey::Session(&self.service, client), Vec::new()).await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::LiveServiceLink;
+    use crate::test_support::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_recorder_whose_connection_leads_nowhere_goes_on_with_another() {
+        let (site, elsewhere) = (Site::new(), Site::new());
+        let service = ServiceName::new("n").unwrap();
+        let opened = LiveServiceLink::open(&site.listen(), &service, LEARNER).await;
+        let (_notifier, _events) = opened.unwrap();
+        let opened = LiveRecorderLink::open(&site.connect(), &service, None).await;
+        let (recorder, samples) = opened.unwrap();
+        let here =
+            |message: LiveMessage| (message == LiveMessage::ServiceHere(LEARNER)).then_some(());
+        until(recorder.presence(), here).await;
+
+        recorder.session.strand(elsewhere.raw("peer").await).await;
+        recorder.session.look_long_after().await;
+        until(recorder.presence(), here).await;
+        recorder.health().await.unwrap();
+        let (topic, client) = (LiveTopic::Say, ClientName::new("c").unwrap());
+        let speaker = site.raw("client").await;
+        speaker.put(topic.key(&service, &client).to_string(), "hello").await.unwrap();
+        let said = until(&samples, |sample| (sample.topic == topic).then_some(sample.client));
+        assert_eq!(said.await, client);
+        recorder.close().await.unwrap();
+        assert!(matches!(recorder.health().await.unwrap_err(), Error::Dead));
     }
 }

@@ -13,7 +13,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use crate::cli::AccessArgs;
+use crate::cli::{AccessArgs, PAGE_ADDRESS};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 
@@ -35,7 +35,7 @@ impl PageServer {
         http: &str,
         access: &AccessArgs,
     ) -> Result<Self, Failure> {
-        let address = parse_address(http).blame(ExitCode::WrongInput)?;
+        let address = parse_address(http, PAGE_ADDRESS).blame(ExitCode::WrongInput)?;
         let token = access.token.as_deref().map(token).transpose()?;
         if !address.ip().is_loopback() && token.is_none() {
             return Err(Failure::input(format!(
