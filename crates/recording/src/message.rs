@@ -1,8 +1,7 @@
 //! A message as it is recorded: JSON as it was sent, byte for byte; raw bytes as JSON with the original next to it.
 
-use std::fmt::Write as _;
-
 use leadtime_link::live::ArrivalEncoding;
+use leadtime_proto::hex;
 use leadtime_serve::HeardSay;
 use leadtime_serve::observation::{LiveObservation, write_json};
 use serde_json::{Value, json};
@@ -48,9 +47,9 @@ pub(crate) fn record(
         _ if is_object() => return payload.to_vec(),
         _ => json!({}),
     };
-    converted[RAW] = hexadecimal(payload).into();
+    converted[RAW] = hex::encode(payload).into();
     if let Some(beside) = beside {
-        converted[BESIDE] = hexadecimal(beside).into();
+        converted[BESIDE] = hex::encode(beside).into();
     }
     converted.to_string().into_bytes()
 }
@@ -95,14 +94,6 @@ pub(crate) fn said_event(recorded: &[u8]) -> Option<HeardSay> {
         Some(original) => HeardSay::read(&bytes_of(original)?),
         None => HeardSay::read(recorded),
     }
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    let mut text = String::with_capacity(2 * bytes.len());
-    for byte in bytes {
-        write!(text, "{byte:02x}").expect("a string takes what is written");
-    }
-    text
 }
 
 fn bytes_of(text: &str) -> Option<Vec<u8>> {
