@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events};
 use leadtime_proto::message::Hello;
-use leadtime_proto::{ActorId, Incarnation, Sequence};
+use leadtime_proto::{ActorId, Incarnation, fakes};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -320,13 +320,5 @@ pub(crate) async fn fake_actor(
         ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
     let opened = ActorLink::open(&settings, &actor, incarnation).await;
     let (link, events) = opened.expect("the learner listens");
-    let hello = Hello {
-        program: "test".to_owned(),
-        actor,
-        incarnation,
-        cpu: "cpu".to_owned(),
-        published: Sequence(0),
-        first_unacknowledged: Sequence(1),
-    };
-    (link, events, hello)
+    (link, events, fakes::hello(actor, incarnation))
 }

@@ -10,8 +10,8 @@ use leadtime_link::{
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Hello, HelloReply, Welcome};
 use leadtime_proto::{
-    ActionSpec, ActorId, DomainName, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec,
-    PolicyVersion, RefusalCause, Rollout, RunName, RunSpec, Schedule, Sequence, TaskSpec, codec,
+    ActorId, DomainName, EnvId, Header, Incarnation, Iteration, PolicyVersion, RefusalCause,
+    Rollout, RunName, Schedule, Sequence, codec, fakes,
 };
 use tempfile::TempDir;
 
@@ -171,35 +171,12 @@ pub(crate) fn domain() -> DomainName {
 }
 
 pub(crate) fn hello(id: &str, incarnation: Incarnation) -> Hello {
-    Hello {
-        program: "test".to_owned(),
-        actor: actor_id(id),
-        incarnation,
-        cpu: "cpu".to_owned(),
-        published: Sequence(0),
-        first_unacknowledged: Sequence(1),
-    }
+    fakes::hello(actor_id(id), incarnation)
 }
 
 pub(crate) fn welcome(name: &str) -> Welcome {
-    let actions = ActionSpec::discrete("choice", 2);
-    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-    let task = TaskSpec { domain: DOMAIN.to_owned(), settings: "{}".to_owned() };
-    let spec = RunSpec {
-        seed: 7,
-        task,
-        policy: PolicySpec::dense(&env, &[8]),
-        env,
-        n_steps: 2,
-        schedule: Schedule::Lag(0),
-    };
-    Welcome {
-        run: run(name),
-        spec,
-        window: 4,
-        weights: Announcement { learner: LEARNER, versions: Vec::new() },
-        resend_from: Sequence(1),
-    }
+    let nothing = Announcement { learner: LEARNER, versions: Vec::new() };
+    fakes::welcome(run(name), fakes::run_spec(DOMAIN, 2, Schedule::Lag(0)), nothing)
 }
 
 /// A rollout message that a learner takes.
