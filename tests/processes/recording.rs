@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use leadtime_link::live::LiveTopic;
 use leadtime_recording::{RecordedTopic, RecordingFile, RecordingWriter};
 use serde_json::{Value, json};
 
@@ -159,7 +160,7 @@ fn another_word_in_a_recording_is_found() {
     for client in &read.clients {
         for message in &client.messages {
             let text = String::from_utf8(message.json.clone()).unwrap();
-            let is_first = n_changed == 0 && message.topic == RecordedTopic::Say;
+            let is_first = n_changed == 0 && message.topic == RecordedTopic::Live(LiveTopic::Say);
             let is_silent = is_first && text.contains("\"event\":\"silent\"");
             n_changed += usize::from(is_silent);
             let other = if is_silent { "\"event\":\"end\"" } else { "\"event\":\"silent\"" };
