@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What a stranger on a network without TLS can do to a run, and what the honest members notice of it.
 
-    pip install eclipse-zenoh==1.10.2 crc32c
+    pip install eclipse-zenoh==1.10.2 crc32c blake3 pynacl
     bench/attacks.py [ATTACK...] [--seconds 5]
 
 For each attack a learner and two actors train a small task on this machine. They are left in peace, attacked, and left in peace
@@ -23,7 +23,9 @@ import threading
 import time
 from pathlib import Path
 
+import nacl.bindings as sodium
 import zenoh
+from blake3 import blake3
 from crc32c import crc32c
 
 PROGRAM = Path(os.environ.get("PROGRAM", Path(__file__).resolve().parent.parent / "target/release/leadtime"))
@@ -69,6 +71,29 @@ def header(schema, payload, start, sequence=0, epoch=0, version=0):
     return struct.pack("<4sIIIQQQQ", b"LDTM", schema, crc32c(payload), protocol(), start, sequence, epoch, version)
 
 
+class Start:
+    """The keys of a start of the stranger's own, as in crates/link/src/proof.rs."""
+
+    PURPOSE = "leadtime 2026-12-01 messages between a learner and an actor"
+
+    def __init__(self):
+        self.public, self.secret = sodium.crypto_sign_keypair()
+        self.number = struct.unpack("<Q", blake3(self.public).digest()[:8])[0]
+        self.hellos = 0
+
+    def signed(self, head, body):
+        """A message for all, with its proof."""
+        signature = sodium.crypto_sign(blake3(head + body).digest(), self.secret)[: sodium.crypto_sign_BYTES]
+        return body + self.public + signature
+
+    def proved(self, peer, head, body):
+        """A message for the start with this public key, with its proof."""
+        to = sodium.crypto_sign_ed25519_pk_to_curve25519(peer)
+        shared = sodium.crypto_scalarmult(sodium.crypto_sign_ed25519_sk_to_curve25519(self.secret), to)
+        key = blake3(shared + min(self.public, peer) + max(self.public, peer), derive_key_context=self.PURPOSE).digest()
+        return body + self.public + blake3(head + body, key=key).digest()
+
+
 def hello(actor, start):
     return text("stranger") + text(actor) + number(start) + text("any") + number(0) + number(1)
 
@@ -87,7 +112,7 @@ class Network:
     def __init__(self, endpoint):
         settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
         self.endpoint, self.session = endpoint, zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
-        self.actors, self.held = {}, []
+        self.actors, self.held, self.start, self.publics = {}, [], Start(), {}
         for reply in self.session.liveliness().get("leadtime/1/*/alive/*/*/*", timeout=2):
             if reply.ok is not None:
                 _, _, run, _, role, name, start = str(reply.ok.key_expr).split("/")
@@ -96,18 +121,32 @@ class Network:
                     self.learner = int(start, 16)
                 else:
                     self.actors[name] = int(start, 16)
+        # Public keys stand behind what is published; no message is longer than they and a proof.
+        behind = lambda sample: self.publics.setdefault(str(sample.key_expr).split("/")[-1], bytes(sample.payload)[-64:-32])
+        self.held.append(self.session.declare_subscriber(f"{self.root}/traj/**", behind))
 
     def show(self, key):
         self.held.append(self.session.liveliness().declare_token(key))
 
-    def ask(self, key, payload, schema, start=0, take=None, timeout=5):
-        body = {"payload": payload, "attachment": header(schema, payload, start)} if schema else {"payload": payload}
+    def ask(self, key, payload, head=None, take=None, timeout=5):
+        body = {"payload": payload, "attachment": head} if head else {"payload": payload}
         take = take or (lambda reply: None)
         self.session.get(f"{self.root}/{key}", take, timeout=timeout, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE, **body)
 
     def order(self, control):
+        """In the learner's name, and in the stranger's own with a proof that holds."""
         for actor, start in self.actors.items():
-            self.ask(f"ctl/actor/{actor}?incarnation={start}", control, CONTROL, self.learner)
+            place, peer = f"ctl/actor/{actor}?incarnation={start}", self.publics.get(actor)
+            if peer is not None:
+                for number in (self.learner, self.start.number):
+                    head = header(CONTROL, control, number)
+                    self.ask(place, self.start.proved(peer, head, control), head)
+
+    def greet(self, ghost, actor):
+        ghost.hellos += 1
+        body = hello(actor, ghost.number)
+        head = header(HELLO, body, ghost.number, ghost.hellos)
+        self.ask("ctl/hello", ghost.signed(head, body), head)
 
 
 # --- the attacks: each lasts until `end`, by time.monotonic() ------------------------------------------------------
@@ -116,13 +155,15 @@ class Network:
 def sequence(network, end):
     """Sends rubbish under the next numbers of live actors, as their credit tells them."""
     credits = {}
-    take = lambda sample: credits.__setitem__(str(sample.key_expr).split("/")[-1], numbers(bytes(sample.payload)))
+    take = lambda sample: credits.__setitem__(str(sample.key_expr).split("/")[-1], numbers(bytes(sample.payload)[:-64]))
     subscriber = network.session.declare_subscriber(f"{network.root}/credit/*", take)
     while time.monotonic() < end:
         for actor, (start, _, acknowledged, _) in list(credits.items()):
             for ahead in range(1, 9):
                 key = f"{network.root}/traj/cartpole/{actor}"
-                network.session.put(key, b"rubbish", attachment=header(ROLLOUT, b"rubbish", start, acknowledged + ahead))
+                head = header(ROLLOUT, b"rubbish", start, acknowledged + ahead)
+                public = network.publics.get(actor, network.start.public)
+                network.session.put(key, b"rubbish" + public + os.urandom(32), attachment=head)
         time.sleep(0.002)
     subscriber.undeclare()
 
@@ -150,11 +191,12 @@ def readers(n):
 def ghosts(n):
     def attack(network, end):
         """Members with nobody behind: presence and hello, and no answer to any order."""
-        for i in range(n):
-            network.show(f"{network.root}/alive/actor/ghost-{i}/{i + 1:016x}")
+        starts = [Start() for _ in range(n)]
+        for i, ghost in enumerate(starts):
+            network.show(f"{network.root}/alive/actor/ghost-{i}/{ghost.number:016x}")
         while time.monotonic() < end:
-            for i in range(n):
-                network.ask("ctl/hello", hello(f"ghost-{i}", i + 1), HELLO, i + 1)
+            for i, ghost in enumerate(starts):
+                network.greet(ghost, f"ghost-{i}")
             time.sleep(0.05)
     return attack
 
@@ -176,7 +218,7 @@ def fat(network, end):
         network.held.append(other)
         for _ in range(UNREAD):
             if time.monotonic() < end:
-                other.ask(key, body, None, take=wait, timeout=20)
+                other.ask(key, body, take=wait, timeout=20)
     places = [("weights/cartpole/latest", b"")] * 6 + [("ctl/hello", bytes(31 << 20))] * 4
     threads = [threading.Thread(target=work, args=place, daemon=True) for place in places]
     [thread.start() for thread in threads]

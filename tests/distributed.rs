@@ -19,10 +19,10 @@ use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
 use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
-use leadtime_proto::message::{Control, ControlReply, EnvAssignment, Hello};
+use leadtime_proto::message::{Control, ControlReply, EnvAssignment};
 use leadtime_proto::{
     ActorId, EnvId, EnvSpec, Header, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
-    RunSpec, Sequence, TaskSpec, codec,
+    RunSpec, Sequence, TaskSpec, codec, fakes,
 };
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -595,14 +595,7 @@ async fn pretender(directory: &Path, name: &str) -> (ActorLink, leadtime_link::E
     let (actor, start) = (ActorId::new(name).unwrap(), pretended());
     let settings = ConnectSettings::new(vec![endpoint(directory)]);
     let (link, events) = ActorLink::open(&settings, &actor, &start).await.unwrap();
-    let hello = Hello {
-        program: "test".to_owned(),
-        actor,
-        incarnation: start.incarnation(),
-        cpu: "cpu".to_owned(),
-        published: Sequence(0),
-        first_unacknowledged: Sequence(1),
-    };
+    let hello = fakes::hello(actor, start.incarnation());
     link.hello(None, &hello, PATIENCE).await.unwrap();
     (link, events)
 }

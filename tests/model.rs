@@ -24,8 +24,8 @@ use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, EnvAssignment, Hello, Welcome,
 };
 use leadtime_proto::{
-    ActionSpec, ActorId, EnvId, EnvSpec, Epoch, Header, Incarnation, Iteration, PolicySpec,
-    PolicyVersion, Rollout, RunName, RunSpec, Schedule, TaskSpec, codec,
+    ActorId, EnvId, Epoch, Header, Incarnation, Iteration, PolicyVersion, Rollout, RunName,
+    RunSpec, Schedule, codec, fakes,
 };
 
 /// How many different runs are tried.
@@ -74,19 +74,9 @@ impl Chain {
     fn rollout(&mut self, version: PolicyVersion) -> Rollout {
         self.state = mix(self.state ^ mix(version.0));
         let rollout = Rollout {
-            env_id: self.env_id,
-            iteration: self.iteration,
-            version,
-            n_steps: 1,
             observations: vec![(self.state % (1 << 24)) as f32],
-            next_observation: vec![0.0],
-            masks: vec![u64::MAX],
-            actions: vec![0],
-            log_probs: vec![0.0],
-            values: vec![0.0],
-            rewards: vec![0.0],
             snapshot: self.state.to_le_bytes().to_vec(),
-            ..Rollout::default()
+            ..fakes::rollout(self.env_id, self.iteration, version)
         };
         self.iteration = self.iteration.next();
         rollout
@@ -98,19 +88,6 @@ type Trained = Vec<(u32, u64, u32)>;
 
 fn seen(rollout: &Rollout) -> (u32, u64, u32) {
     (rollout.env_id.0, rollout.iteration.0, rollout.observations[0].to_bits())
-}
-
-fn spec() -> RunSpec {
-    let actions = ActionSpec::discrete("a", 2);
-    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-    RunSpec {
-        seed: 1,
-        task: TaskSpec { domain: "chain".to_owned(), settings: "{}".to_owned() },
-        policy: PolicySpec::dense(&env, &[1]),
-        env,
-        n_steps: 1,
-        schedule: Schedule::Async { staleness_max: 8 },
-    }
 }
 
 /// A start of an actor process.
@@ -205,7 +182,7 @@ impl World {
             dice: seed,
             zero: Instant::now(),
             now: 0,
-            spec: spec(),
+            spec: fakes::run_spec("chain", 1, Schedule::Async { staleness_max: 8 }),
             events: BTreeMap::new(),
             n_numbers: 0,
             learner: None,

@@ -150,6 +150,12 @@ pub(crate) fn listening_failure(error: LinkError) -> Failure {
     Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
 }
 
+/// Chooses the exit code for an error of a process that dials a notifier, or a learner.
+pub(crate) fn dialling_failure(error: LinkError) -> Failure {
+    let is_input = is_wrong_input(&error) || matches!(error, LinkError::ReservedName(_));
+    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
+}
+
 /// Returns whether it is an address at which nobody can listen here.
 pub(crate) fn is_wrong_address(error: &LinkError) -> bool {
     matches!(

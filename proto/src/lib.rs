@@ -15,6 +15,7 @@
 //! receive  message validation   size, header, schema, checksum, decode
 //! refusal  what fails there     Refusal: cause, sentence, sender; the books count it
 //! text     words for people     quoted and cut; `phrase`: counted, timed, guessed
+//! fakes    for tests            a small run: its spec, a hello, a welcome, a rollout
 //! ```
 //!
 //! # Where to start
@@ -22,6 +23,8 @@
 //! [`rollout::Rollout`] is the message that everything else exists for.
 
 pub mod codec;
+#[cfg(feature = "fakes")]
+pub mod fakes;
 pub mod header;
 pub mod hex;
 pub mod ids;

@@ -2,32 +2,22 @@
 
 use std::time::{Duration, Instant};
 
+use leadtime_link::Error as LinkError;
 use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
-use leadtime_link::{ConnectSettings, Error as LinkError};
-use leadtime_proto::{ClientName, Incarnation, ServiceName};
+use leadtime_proto::Incarnation;
 use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
 use leadtime_serve::{HeardSay, SayEvent};
 use serde_json::{Value, json};
-use tokio::runtime::{Builder, Runtime};
+use tokio::runtime::Runtime;
 
-use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
+use crate::notifier::{link, policy, port, serve};
+use crate::support::{PATIENCE, Place, repository, signal, wait_for_words, wait_until};
 
 /// The exit codes of wrong input and of a peer that is not there.
 const WRONG_INPUT: i32 = 2;
 const PEER_LOST: i32 = 3;
 /// How long a step takes, in seconds, where nothing depends on it.
 const STEP: f64 = 0.05;
-
-fn policy() -> String {
-    repository("deploy/policies/piloting.safetensors")
-}
-
-/// Starts a notifier and waits until it is at work.
-fn serve(place: &Place, more: &str) -> Running {
-    let notifier = place.start(&["serve", &policy(), "--listen", &place.endpoint("n"), more]);
-    wait_for_words(&notifier, "is at work");
-    notifier
-}
 
 /// A client that does what a test wants.
 struct Client {
@@ -45,19 +35,10 @@ struct Client {
 
 impl Client {
     fn connect(place: &Place, name: &str, start: u64) -> Self {
-        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-        let endpoint = place.endpoint("n").parse().unwrap();
-        let settings =
-            ConnectSettings { timeout: PATIENCE, ..ConnectSettings::new(vec![endpoint]) };
-        let (service, name) =
-            (ServiceName::new("notifier").unwrap(), ClientName::new(name).unwrap());
-        let (link, port) = runtime.block_on(async {
-            let link = LiveClientLink::open(&settings).await.unwrap();
-            link.find(&service).await.unwrap();
-            let port = link.port(&service, &name, Incarnation(start)).unwrap();
-            (link, port)
-        });
-        let (start, began) = (Incarnation(start), Instant::now());
+        let (runtime, link) = link(place);
+        let start = Incarnation(start);
+        let port = runtime.block_on(port(&link, name, start));
+        let began = Instant::now();
         let (sent, says, statuses) = (Vec::new(), Vec::new(), Vec::new());
         Self { runtime, link, port, start, began, seq: 0, sent, says, statuses }
     }

@@ -34,6 +34,7 @@ mod ending;
 mod help;
 mod live;
 mod long_run;
+mod notifier;
 mod operations;
 mod probe;
 mod program;

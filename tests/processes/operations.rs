@@ -50,7 +50,8 @@ fn ask(address: &str, path: &str, host: &str) -> (u16, String, String) {
     (code, head.to_owned(), body.to_owned())
 }
 
-fn get(address: &str, path: &str) -> (u16, String) {
+/// Asks an HTTP server; returns the status code and the body.
+pub(crate) fn get(address: &str, path: &str) -> (u16, String) {
     let (code, _, body) = ask(address, path, address);
     (code, body)
 }

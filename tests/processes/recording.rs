@@ -2,26 +2,17 @@
 
 use std::fs;
 
+use leadtime_link::live::LiveTopic;
 use leadtime_recording::{RecordedTopic, RecordingFile, RecordingWriter};
 use serde_json::{Value, json};
 
+use crate::notifier::{policy, serve};
 use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
 
 /// The exit codes of a failed check, of wrong input and of a peer that is not there.
 const FAILED: i32 = 1;
 const WRONG_INPUT: i32 = 2;
 const PEER_LOST: i32 = 3;
-
-fn policy() -> String {
-    repository("deploy/policies/piloting.safetensors")
-}
-
-/// Starts a notifier and waits until it is at work.
-fn serve(place: &Place) -> Running {
-    let notifier = place.start(&["serve", &policy(), "--listen", &place.endpoint("n")]);
-    wait_for_words(&notifier, "is at work");
-    notifier
-}
 
 /// Starts a recorder and waits until it takes everything.
 fn record(place: &Place, file: &str, more: &str) -> Running {
@@ -60,7 +51,7 @@ fn of<'a>(sessions: &'a [Value], client: &str) -> Option<&'a Value> {
 #[test]
 fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_said_again() {
     let place = Place::new();
-    let notifier = serve(&place);
+    let notifier = serve(&place, "");
     let to = place.endpoint("n");
     let recorder = record(&place, "r.mcap", "");
     // At a pace: nobody waits for a recorder, and at full speed a busy machine may leave something out on the way to it.
@@ -102,7 +93,7 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     assert!(drawn.contains("what was said when") && drawn.contains(">says<"), "{drawn}");
 
     // The same over the network, and what another policy would have said.
-    let notifier = serve(&place);
+    let notifier = serve(&place, "");
     let sent = format!("replay r.mcap --connect {to} --live drive --json");
     let sent = place.finish(&[&sent]).with_code(0).json();
     assert_eq!(sent["sessions"][0]["replayed"], driven["recorded"]);
@@ -118,7 +109,7 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
 #[test]
 fn what_was_said_by_the_clock_is_replayed_exactly_and_who_comes_late_is_told_so() {
     let place = Place::new();
-    let notifier = serve(&place);
+    let notifier = serve(&place, "");
     let to = place.endpoint("n");
     let recorder = record(&place, "whole.mcap", "");
     let drive = format!("--connect {to} --seconds-per-step 0.02 --episodes 1000");
@@ -150,7 +141,7 @@ fn what_was_said_by_the_clock_is_replayed_exactly_and_who_comes_late_is_told_so(
 #[test]
 fn another_word_in_a_recording_is_found() {
     let place = Place::new();
-    let notifier = serve(&place);
+    let notifier = serve(&place, "");
     let to = place.endpoint("n");
     let recorder = record(&place, "r.mcap", "--stop-after 1m");
     let drive = format!("--connect {to} --max-speed --episodes 2");
@@ -169,7 +160,7 @@ fn another_word_in_a_recording_is_found() {
     for client in &read.clients {
         for message in &client.messages {
             let text = String::from_utf8(message.json.clone()).unwrap();
-            let is_first = n_changed == 0 && message.topic == RecordedTopic::Say;
+            let is_first = n_changed == 0 && message.topic == RecordedTopic::Live(LiveTopic::Say);
             let is_silent = is_first && text.contains("\"event\":\"silent\"");
             n_changed += usize::from(is_silent);
             let other = if is_silent { "\"event\":\"end\"" } else { "\"event\":\"silent\"" };
@@ -216,7 +207,7 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
     let nobody = place.finish(&["record --connect", &to, short, "a.mcap"]).with_code(PEER_LOST);
     nobody.saying(&["n.sock"]);
     assert!(!place.path().join("a.mcap").exists(), "nothing is left behind");
-    let _notifier = serve(&place);
+    let _notifier = serve(&place, "");
     let record =
         |more: &str| place.finish(&["record --connect", &to, "--connect-timeout 1s", more]);
     record("--service other -o a.mcap").with_code(PEER_LOST).saying(&["other", "notifier"]);
@@ -240,11 +231,11 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
 #[test]
 fn a_recorder_says_that_its_notifier_is_gone_and_that_it_is_back() {
     let place = Place::new();
-    let notifier = serve(&place);
+    let notifier = serve(&place, "");
     let recorder = record(&place, "r.mcap", "");
     notifier.kill();
     wait_for_words(&recorder, "notifier `notifier` is gone");
-    let _notifier = serve(&place);
+    let _notifier = serve(&place, "");
     wait_for_words(&recorder, "notifier `notifier` is back");
 }
 

@@ -2,15 +2,15 @@
 
 use std::time::{Duration, Instant};
 
-use leadtime_link::ConnectSettings;
 use leadtime_link::live::{LiveClientLink, TakenAt};
 use leadtime_serve::robot::cdr;
 use leadtime_serve::robot::ros2::{ATTACHMENT, Distro, Ros2Names, SourceMark};
 use leadtime_serve::{HeardSay, SayEvent};
 use serde_json::{Value, json};
-use tokio::runtime::{Builder, Runtime};
+use tokio::runtime::Runtime;
 
-use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words};
+use crate::notifier::{self, link, policy};
+use crate::support::{PATIENCE, Place, Running, signal, wait_for_words};
 
 /// The exit code of wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -18,15 +18,9 @@ const WRONG_INPUT: i32 = 2;
 const PAUSE: Duration = Duration::from_millis(20);
 const STATUS: &str = "leadtime/live/1/notifier/arm-1/status";
 
-fn policy() -> String {
-    repository("deploy/policies/piloting.safetensors")
-}
-
 fn serve(place: &Place, more: &str) -> Running {
     let more = format!("{more} --seconds-per-step 0.05 --client arm-1");
-    let notifier = place.start(&["serve", &policy(), "--listen", &place.endpoint("n"), &more]);
-    wait_for_words(&notifier, "is at work");
-    notifier
+    notifier::serve(place, &more)
 }
 
 /// What a lander sees that comes down beside the pad.
@@ -55,11 +49,7 @@ struct Robot {
 
 impl Robot {
     fn connect(place: &Place) -> Self {
-        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-        let endpoint = place.endpoint("n").parse().unwrap();
-        let settings =
-            ConnectSettings { timeout: PATIENCE, ..ConnectSettings::new(vec![endpoint]) };
-        let link = runtime.block_on(LiveClientLink::open(&settings)).unwrap();
+        let (runtime, link) = link(place);
         let status = link.take_at(STATUS).unwrap();
         Self { runtime, link, status, statuses: Vec::new() }
     }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, Events, StartKey};
 use leadtime_proto::message::Hello;
-use leadtime_proto::{ActorId, Sequence};
+use leadtime_proto::{ActorId, fakes};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -321,13 +321,6 @@ pub(crate) async fn fake_actor(
         ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
     let opened = ActorLink::open(&settings, &actor, &start).await;
     let (link, events) = opened.expect("the learner listens");
-    let hello = Hello {
-        program: "test".to_owned(),
-        actor,
-        incarnation: start.incarnation(),
-        cpu: "cpu".to_owned(),
-        published: Sequence(0),
-        first_unacknowledged: Sequence(1),
-    };
+    let hello = fakes::hello(actor, start.incarnation());
     (link, events, hello)
 }

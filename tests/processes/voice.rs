@@ -4,14 +4,14 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::{Duration, Instant};
 
-use leadtime_link::ConnectSettings;
 use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
-use leadtime_proto::{ClientName, Incarnation, ServiceName};
+use leadtime_proto::Incarnation;
 use leadtime_serve::observation::{ObservationHead, write_json};
 use serde_json::{Value, json};
-use tokio::runtime::{Builder, Runtime};
+use tokio::runtime::Runtime;
 
-use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
+use crate::notifier::{link, policy, port};
+use crate::support::{PATIENCE, Place, Running, signal, wait_for_words, wait_until};
 
 /// The exit code of wrong input.
 const WRONG_INPUT: i32 = 2;
@@ -25,10 +25,6 @@ fn serve(place: &Place, options: &[&str]) -> Running {
     let notifier = place.start_with(command);
     wait_for_words(&notifier, "is at work");
     notifier
-}
-
-fn policy() -> String {
-    repository("deploy/policies/piloting.safetensors")
 }
 
 /// A client that comes down beside the pad, and hears what is said.
@@ -45,22 +41,15 @@ struct Listener {
 
 impl Listener {
     fn open(place: &Place, more: &Value) -> Self {
-        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-        let endpoint = place.endpoint("n").parse().unwrap();
-        let settings =
-            ConnectSettings { timeout: PATIENCE, ..ConnectSettings::new(vec![endpoint]) };
+        let (runtime, link) = link(place);
         let mut question = json!({"protocol": 1, "domain": "lander"});
         for (key, value) in more.as_object().unwrap() {
             question[key] = value.clone();
         }
-        let (link, port, answer) = runtime.block_on(async {
-            let service = ServiceName::new("notifier").unwrap();
-            let link = LiveClientLink::open(&settings).await.unwrap();
-            link.find(&service).await.unwrap();
-            let name = ClientName::new("car-1").unwrap();
-            let port = link.port(&service, &name, Incarnation(1)).unwrap();
+        let (port, answer) = runtime.block_on(async {
+            let port = port(&link, "car-1", Incarnation(1)).await;
             let answer = port.ask(question.to_string().into_bytes()).await.unwrap();
-            (link, port, serde_json::from_slice(&answer).unwrap())
+            (port, serde_json::from_slice(&answer).unwrap())
         });
         let (says, statuses) = (Vec::new(), Vec::new());
         let began = Instant::now();

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 
+use crate::operations::get;
 use crate::support::{PATIENCE, Place, Running, signal, wait_until};
 
 /// A run that lasts until it is ended.
@@ -183,14 +184,7 @@ fn a_run_on_this_disk_goes_on_where_its_learner_went_on() {
 
 /// Asks for everything at once.
 fn state(address: &str) -> Value {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    let head = format!("Host: {address}\r\nConnection: close");
-    write!(stream, "GET /state.json HTTP/1.1\r\n{head}\r\n\r\n").unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (_, body) = answer.split_once("\r\n\r\n").unwrap();
-    serde_json::from_str(body).unwrap()
+    serde_json::from_str(&get(address, "/state.json").1).unwrap()
 }
 
 #[test]

@@ -4,10 +4,7 @@ use bytes::Bytes;
 use leadtime_link::{ConnectSettings, StartKey};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{
-    ActionSpec, ActorId, EnvSpec, Header, PolicySpec, RunName, RunSpec, Schedule, Sequence,
-    TaskSpec,
-};
+use leadtime_proto::{ActorId, Header, RunName, Schedule, Sequence, fakes};
 
 use super::*;
 
@@ -24,22 +21,8 @@ struct Bench {
 }
 
 fn welcome(learner: Incarnation, versions: std::ops::RangeInclusive<u64>) -> Welcome {
-    let actions = ActionSpec::discrete("a", 2);
-    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-    Welcome {
-        run: RunName::new("r").unwrap(),
-        spec: RunSpec {
-            seed: 1,
-            task: TaskSpec { domain: "test".to_owned(), settings: String::new() },
-            policy: PolicySpec::dense(&env, &[8]),
-            env,
-            n_steps: 1,
-            schedule: Schedule::Lag(0),
-        },
-        window: 4,
-        weights: news(learner, versions),
-        resend_from: Sequence(1),
-    }
+    let spec = fakes::run_spec("test", 1, Schedule::Lag(0));
+    fakes::welcome(RunName::new("r").unwrap(), spec, news(learner, versions))
 }
 
 fn news(learner: Incarnation, versions: std::ops::RangeInclusive<u64>) -> Announcement {

@@ -44,8 +44,13 @@ pub struct Decision<'a> {
 
 /// Watches one slot; every hook does nothing unless it is implemented.
 pub trait Observer {
+    /// There is a moment to see: an episode has begun, or a step has been taken.
+    fn on_moment(&mut self, _slot: &EnvSlot) {}
+
     /// An episode has begun; the slot holds its first observation.
-    fn on_reset(&mut self, _slot: &EnvSlot) {}
+    fn on_reset(&mut self, slot: &EnvSlot) {
+        self.on_moment(slot);
+    }
 
     /// Asks, once before every step, whether the policy's hidden features are wanted for it.
     fn wants_hidden(&mut self, _slot: &EnvSlot) -> bool {
@@ -56,7 +61,9 @@ pub trait Observer {
     fn on_decision(&mut self, _slot: &EnvSlot, _decision: &Decision<'_>) {}
 
     /// A step has been taken; the slot holds the observation after it.
-    fn on_step(&mut self, _slot: &EnvSlot, _outcome: StepOutcome) {}
+    fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
+        self.on_moment(slot);
+    }
 }
 
 /// For slots that are only played.

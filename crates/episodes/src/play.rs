@@ -4,9 +4,10 @@
 //! streams named by (seed, i). So neither the number of slots nor that of threads changes a result, and two players
 //! meet the same worlds.
 
-use std::fmt;
+use std::iter::repeat_n;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
+use std::{fmt, io};
 
 use leadtime_numerics::Purpose;
 use leadtime_proto::EnvId;
@@ -118,36 +119,46 @@ pub fn play<O: EpisodeObserver>(
     player.check(make()?.as_ref())?;
     let next = AtomicU64::new(settings.first);
     let work = || Shift::new(player, settings, &next).run(make, &observe);
-    let n_threads = settings.n_threads as u64;
-    let mut done = match n_threads.min(settings.n_episodes) {
-        0 | 1 => work()?,
-        n_threads => in_threads(n_threads, &work)?,
-    };
-    done.sort_unstable_by_key(|(index, _)| *index);
-    Ok(done.into_iter().map(|(_, found)| found).collect())
+    let n_threads = settings.n_threads.min(settings.n_episodes as usize).max(1);
+    in_threads("evaluate", repeat_n(work, n_threads), Error::Thread)
 }
 
 /// What episodes gave, with their indices.
 type Indexed<T> = Vec<(u64, T)>;
 
-fn in_threads<T: Send>(
-    n_threads: u64,
-    work: &(impl Fn() -> Result<Indexed<T>, Error> + Sync),
-) -> Result<Indexed<T>, Error> {
-    thread::scope(|scope| {
-        let start = |i: u64| {
-            let name = format!("evaluate-{i}");
-            thread::Builder::new().name(name).spawn_scoped(scope, work).map_err(Error::Thread)
+/// Does jobs side by side, the last one in this thread, and returns what all of them found, sorted by its index.
+///
+/// # Errors
+///
+/// That of a job, or of a thread that cannot be started.
+pub fn in_threads<T, E, J>(
+    name: &str,
+    jobs: impl IntoIterator<Item = J>,
+    not_started: impl Fn(io::Error) -> E,
+) -> Result<Vec<T>, E>
+where
+    T: Send,
+    E: Send,
+    J: FnOnce() -> Result<Vec<(u64, T)>, E> + Send,
+{
+    let mut jobs: Vec<J> = jobs.into_iter().collect();
+    let last = jobs.pop();
+    let mut done = thread::scope(|scope| {
+        let start = |(i, job): (usize, J)| {
+            let thread = thread::Builder::new().name(format!("{name}-{i}"));
+            thread.spawn_scoped(scope, job).map_err(&not_started)
         };
-        let threads: Vec<_> = (0..n_threads).map(start).collect::<Result<_, _>>()?;
-        let mut all = Vec::new();
+        let threads = jobs.into_iter().enumerate().map(start).collect::<Result<Vec<_>, E>>()?;
+        let mut all = last.map_or_else(|| Ok(Vec::new()), |job| job())?;
         for thread in threads {
             // A panic in a thread is a bug; it goes on in the caller.
             let part = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
             all.extend(part?);
         }
-        Ok(all)
-    })
+        Ok::<_, E>(all)
+    })?;
+    done.sort_unstable_by_key(|(index, _)| *index);
+    Ok(done.into_iter().map(|(_, found)| found).collect())
 }
 
 /// One thread's part: episodes from a shared counter, until there are no more.

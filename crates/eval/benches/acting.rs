@@ -18,13 +18,9 @@ fn environment() -> Box<dyn Environment> {
 fn steps_per_second(criterion: &mut Criterion) {
     let task = environment().spec().clone();
     let spec = PolicySpec {
-        obs_dim: task.obs_dim,
         encoder: Encoder::Lstm { projection: 32, state: 128 },
-        hidden: Vec::new(),
-        actions: task.actions,
         head_credit: HeadCredit::Active,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
+        ..PolicySpec::dense(&task, &[])
     };
     let mut player =
         Player::untrained(&spec, 1, Choice::Sample).expect("the architecture is sound");

@@ -29,7 +29,7 @@ use serde_json::{Value, json};
 use zenoh::config::Config;
 
 use crate::keys::{Key, Member, ROOT};
-use crate::live::{LIVE_ROOT, LiveKey};
+use crate::live::{LIVE_ROOT, LiveKey, LiveTopic};
 use crate::{Error, Result};
 
 /// What the file begins with.
@@ -359,13 +359,12 @@ impl LivePatterns {
     /// What a client sends.
     fn sent(&self) -> [String; 2] {
         let (service, client) = (&self.service, &self.client);
-        [LiveKey::Observations(service, client), LiveKey::Heard(service, client)]
-            .map(|key| self.of(key))
+        [LiveTopic::Observations, LiveTopic::Heard].map(|it| self.of(it.key(service, client)))
     }
 
     /// What only recorders receive.
     fn taken(&self) -> String {
-        self.of(LiveKey::Taken(&self.service, &self.client))
+        self.of(LiveTopic::Taken.key(&self.service, &self.client))
     }
 
     /// Where recorders ask.
@@ -381,7 +380,7 @@ impl LivePatterns {
     /// What a client is sent.
     fn told(&self) -> [String; 2] {
         let (service, client) = (&self.service, &self.client);
-        [LiveKey::Say(service, client), LiveKey::Status(service, client)].map(|key| self.of(key))
+        [LiveTopic::Say, LiveTopic::Status].map(|it| self.of(it.key(service, client)))
     }
 }
 

@@ -37,7 +37,7 @@ pub use parameters::Parameters;
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::{ActionSpec, Conditional, Encoder, Gate, Head, HeadCredit, PolicySpec};
+    use leadtime_proto::{ActionSpec, Conditional, EnvSpec, Gate, Head, HeadCredit, PolicySpec};
 
     /// The notifier's heads: initiate 2, topic 4, k 4, l 4 with l >= k.
     pub(crate) fn notifier(obs_dim: usize) -> PolicySpec {
@@ -48,14 +48,7 @@ mod tests {
             gate: Some(Gate { head: 0, choice: 1 }),
             conditionals: vec![Conditional { head: 3, given: 2, allowed }],
         };
-        PolicySpec {
-            obs_dim,
-            encoder: Encoder::Identity,
-            hidden: vec![64, 64],
-            actions,
-            head_credit: HeadCredit::Active,
-            logit_bias: Vec::new(),
-            normalize_observations: false,
-        }
+        let plain = PolicySpec::dense(&EnvSpec { obs_dim, actions, metrics: vec![] }, &[64, 64]);
+        PolicySpec { head_credit: HeadCredit::Active, ..plain }
     }
 }

@@ -12,7 +12,7 @@ use flate2::read::GzDecoder;
 use leadtime_policy::Parameters;
 use leadtime_policy::attention::{Attention, AttentionEncoder};
 use leadtime_policy::parameters::shapes;
-use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit, PolicySpec};
+use leadtime_proto::{ActionSpec, EgoAttention, Encoder, EnvSpec, PolicySpec};
 use serde_json::Value;
 
 const SPEC: EgoAttention = EgoAttention {
@@ -35,15 +35,10 @@ fn h(n: usize, i: usize, j: usize) -> f64 {
 
 fn policy(n_frames: usize, action_dim: usize) -> PolicySpec {
     let attention = EgoAttention { n_frames, action_dim, ..SPEC };
-    PolicySpec {
-        obs_dim: n_frames * attention.frame_dim(),
-        encoder: Encoder::EgoAttention(attention),
-        hidden: vec![8],
-        actions: ActionSpec::discrete("initiate", 2),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    }
+    let (obs_dim, actions) =
+        (n_frames * attention.frame_dim(), ActionSpec::discrete("initiate", 2));
+    let plain = PolicySpec::dense(&EnvSpec { obs_dim, actions, metrics: Vec::new() }, &[8]);
+    PolicySpec { encoder: Encoder::EgoAttention(attention), ..plain }
 }
 
 fn parameters(spec: &PolicySpec) -> Parameters {

@@ -4,7 +4,7 @@
 use leadtime_numerics::Pcg64;
 use leadtime_policy::Parameters;
 use leadtime_policy::attention::AttentionEncoder;
-use leadtime_proto::{ActionSpec, EgoAttention, Encoder, HeadCredit};
+use leadtime_proto::{ActionSpec, EgoAttention, Encoder, EnvSpec};
 
 use super::*;
 use crate::network::ActorCritic;
@@ -13,15 +13,10 @@ const SMALL: EgoAttention =
     EgoAttention { n_frames: 3, n_entities: 4, n_features: 3, action_dim: 2, width: 8, n_heads: 2 };
 
 fn policy(attention: EgoAttention, rest: usize) -> PolicySpec {
-    PolicySpec {
-        obs_dim: attention.n_frames * attention.frame_dim() + rest,
-        encoder: Encoder::EgoAttention(attention),
-        hidden: vec![16],
-        actions: ActionSpec::discrete("initiate", 2),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    }
+    let obs_dim = attention.n_frames * attention.frame_dim() + rest;
+    let actions = ActionSpec::discrete("initiate", 2);
+    let plain = PolicySpec::dense(&EnvSpec { obs_dim, actions, metrics: Vec::new() }, &[16]);
+    PolicySpec { encoder: Encoder::EgoAttention(attention), ..plain }
 }
 
 /// What actor and critic see.

@@ -38,16 +38,9 @@ impl Walk {
 
 fn specs() -> (PolicySpec, EnvSpec) {
     let actions = ActionSpec::discrete("direction", 2);
-    let policy = PolicySpec {
-        obs_dim: CELLS,
-        encoder: Encoder::Identity,
-        hidden: vec![16, 16],
-        actions: actions.clone(),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: true,
-    };
-    (policy, EnvSpec { obs_dim: CELLS, actions, metrics: Vec::new() })
+    let env = EnvSpec { obs_dim: CELLS, actions, metrics: Vec::new() };
+    let dense = PolicySpec::dense(&env, &[16, 16]);
+    (PolicySpec { normalize_observations: true, ..dense }, env)
 }
 
 fn settings(mode: Mode) -> LearnerSettings {

@@ -1,13 +1,10 @@
 //! A message as it is recorded: JSON as it was sent, byte for byte; raw bytes as JSON with the original next to it.
 
-use std::fmt::Write as _;
-
-use leadtime_link::live::ArrivalEncoding;
+use leadtime_link::live::{ArrivalEncoding, LiveTopic};
+use leadtime_proto::hex;
 use leadtime_serve::HeardSay;
 use leadtime_serve::observation::{LiveObservation, write_json};
 use serde_json::{Value, json};
-
-use crate::topic::RecordedTopic;
 
 /// Where the original of a message that was no JSON is kept, and its attachment.
 const RAW: &str = "x_raw";
@@ -34,23 +31,23 @@ pub struct SentObservation {
 
 /// Writes a message as it is recorded.
 pub(crate) fn record(
-    topic: RecordedTopic,
+    topic: LiveTopic,
     encoding: &ArrivalEncoding,
     payload: &[u8],
     beside: Option<&[u8]>,
 ) -> Vec<u8> {
     let is_object = || serde_json::from_slice::<Value>(payload).is_ok_and(|it| it.is_object());
-    let is_raw_say = topic == RecordedTopic::Say && !payload.starts_with(b"{");
+    let is_raw_say = topic == LiveTopic::Say && !payload.starts_with(b"{");
     let mut converted = match (topic, encoding) {
-        (RecordedTopic::Observations, ArrivalEncoding::Binary) => observation(payload, beside),
-        (RecordedTopic::Observations, ArrivalEncoding::Other(name)) => json!({ ENCODING: name }),
-        (RecordedTopic::Say, _) if is_raw_say => say(payload),
+        (LiveTopic::Observations, ArrivalEncoding::Binary) => observation(payload, beside),
+        (LiveTopic::Observations, ArrivalEncoding::Other(name)) => json!({ ENCODING: name }),
+        (LiveTopic::Say, _) if is_raw_say => say(payload),
         _ if is_object() => return payload.to_vec(),
         _ => json!({}),
     };
-    converted[RAW] = hexadecimal(payload).into();
+    converted[RAW] = hex::encode(payload).into();
     if let Some(beside) = beside {
-        converted[BESIDE] = hexadecimal(beside).into();
+        converted[BESIDE] = hex::encode(beside).into();
     }
     converted.to_string().into_bytes()
 }
@@ -97,14 +94,6 @@ pub(crate) fn said_event(recorded: &[u8]) -> Option<HeardSay> {
     }
 }
 
-fn hexadecimal(bytes: &[u8]) -> String {
-    let mut text = String::with_capacity(2 * bytes.len());
-    for byte in bytes {
-        write!(text, "{byte:02x}").expect("a string takes what is written");
-    }
-    text
-}
-
 fn bytes_of(text: &str) -> Option<Vec<u8>> {
     let digit = |c: u8| char::from(c).to_digit(16).map(|digit| digit as u8);
     let (pairs, rest) = text.as_bytes().as_chunks::<2>();
@@ -123,7 +112,7 @@ mod tests {
         let head = ObservationHead { seq: 17, t: 0.25, episode: 3, end: false };
         let values = [0.1_f32, -1e-30, f32::MAX / 1e30];
         let text = write_json(&head, &values);
-        let topic = RecordedTopic::Observations;
+        let topic = LiveTopic::Observations;
         let recorded = record(topic, &ArrivalEncoding::Json, &text, None);
         assert_eq!(recorded, text);
         let sent = sent_observation(&recorded).unwrap();
@@ -146,14 +135,14 @@ mod tests {
             (&other, b"1,2"),
             (&ArrivalEncoding::Binary, b"odd"),
         ] {
-            let recorded = record(RecordedTopic::Observations, encoding, bytes, None);
+            let recorded = record(LiveTopic::Observations, encoding, bytes, None);
             let json: Value = serde_json::from_slice(&recorded).unwrap();
             assert_eq!(bytes_of(json[RAW].as_str().unwrap()).unwrap(), bytes);
             assert_eq!(sent_observation(&recorded), None);
         }
         let mut raw = vec![0; 24];
         raw[4] = 1;
-        let recorded = record(RecordedTopic::Say, &ArrivalEncoding::Binary, &raw, None);
+        let recorded = record(LiveTopic::Say, &ArrivalEncoding::Binary, &raw, None);
         assert_eq!(said_event(&recorded), HeardSay::read(&raw));
         assert!(said_event(&recorded).is_some());
         assert_eq!(bytes_of("0g"), None);

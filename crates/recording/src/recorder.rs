@@ -61,9 +61,9 @@ impl<W: Write> LiveRecorder<W> {
             LiveTopic::Status => self.look_at_status(client, &payload),
             LiveTopic::Observations | LiveTopic::Say | LiveTopic::Heard => {}
         }
-        let json = record((*topic).into(), &arrival.encoding(), &payload, beside.as_deref());
+        let json = record(*topic, &arrival.encoding(), &payload, beside.as_deref());
         let key = topic.key(&self.service, client).to_string();
-        self.writer.write(&key, (*topic).into(), at, &json)
+        self.writer.write(&key, RecordedTopic::Live(*topic), at, &json)
     }
 
     /// Writes the lines of a message that are new: each message repeats some.
@@ -71,7 +71,7 @@ impl<W: Write> LiveRecorder<W> {
         let Ok(lines) = serde_json::from_slice::<Vec<TakenLine<'_>>>(payload) else {
             return Ok(());
         };
-        let key = LiveKey::Taken(&self.service, client).to_string();
+        let key = LiveTopic::Taken.key(&self.service, client).to_string();
         for line in lines {
             let seen = self.see(client, &line.session);
             // A notifier that was started again goes on with the session, but counts from the beginning.
@@ -86,7 +86,7 @@ impl<W: Write> LiveRecorder<W> {
             seen.has_beginning |= line.is_beginning();
             // Plain data: it cannot fail.
             let json = serde_json::to_vec(&line).unwrap_or_default();
-            self.writer.write(&key, RecordedTopic::Taken, at, &json)?;
+            self.writer.write(&key, RecordedTopic::Live(LiveTopic::Taken), at, &json)?;
         }
         Ok(())
     }

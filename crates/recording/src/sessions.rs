@@ -11,6 +11,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
+use leadtime_link::live::LiveTopic;
 use leadtime_serve::{HeardSay, SayEvent, SessionNote, StepClock, TakenInput, TakenLine};
 use serde_json::Value;
 
@@ -141,20 +142,21 @@ pub fn sessions(client: &RecordedClient) -> Vec<RecordedSession> {
     let mut notes: Vec<SessionNote> = Vec::new();
     for message in &client.messages {
         match message.topic {
-            RecordedTopic::Say => {
+            RecordedTopic::Live(LiveTopic::Say) => {
                 said.extend(said_event(&message.json).map(|event| (message.at, event)));
             }
-            RecordedTopic::Taken => {
+            RecordedTopic::Live(LiveTopic::Taken) => {
                 if let Ok(line) = serde_json::from_slice::<TakenLine<'_>>(&message.json) {
                     making.take(message.at, &line, &mut said);
                 }
             }
-            RecordedTopic::Status => {
+            RecordedTopic::Live(LiveTopic::Status) => {
                 let n_sessions = making.sessions.len();
                 statuses.extend(status(message).map(|(id, status)| (n_sessions, id, status)));
             }
             RecordedTopic::Session => notes.extend(serde_json::from_slice(&message.json).ok()),
-            RecordedTopic::Observations | RecordedTopic::Heard | RecordedTopic::Metrics => {}
+            RecordedTopic::Live(LiveTopic::Observations | LiveTopic::Heard)
+            | RecordedTopic::Metrics => {}
         }
     }
     let mut found = making.sessions;
@@ -197,7 +199,8 @@ struct Observations {
 
 impl Observations {
     fn new(messages: &[RecordedMessage]) -> Self {
-        let sent = messages.iter().filter(|message| message.topic == RecordedTopic::Observations);
+        let topic = RecordedTopic::Live(LiveTopic::Observations);
+        let sent = messages.iter().filter(|message| message.topic == topic);
         let all: Vec<_> = sent.filter_map(|message| sent_observation(&message.json)).collect();
         let mut by_number: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
         for (i, observation) in all.iter().enumerate() {
@@ -373,16 +376,16 @@ mod tests {
         let mut messages = Vec::new();
         for (seq, episode, n) in taken {
             let say = |event: &str, step: u64| json!({"seq": seq, "step": step, "episode": episode, "event": event, "last": true});
-            messages.push(message(RecordedTopic::Say, say("cut", 3)));
-            messages.push(message(RecordedTopic::Say, say("silent", 0)));
+            messages.push(message(RecordedTopic::Live(LiveTopic::Say), say("cut", 3)));
+            messages.push(message(RecordedTopic::Live(LiveTopic::Say), say("silent", 0)));
             let line = json!({
                 "session": "s", "n": n, "now": 10 * seq, "said": 2 * n, "what": "observation", "seq": seq, "step": 3, "at": 10 * seq
             });
-            messages.push(message(RecordedTopic::Taken, line));
+            messages.push(message(RecordedTopic::Live(LiveTopic::Taken), line));
             // What the client sent may arrive after what it led to.
             if !without.contains(seq) {
                 let sent = json!({"seq": seq, "t": 0.0, "obs": [0.5], "episode": episode});
-                messages.push(message(RecordedTopic::Observations, sent));
+                messages.push(message(RecordedTopic::Live(LiveTopic::Observations), sent));
             }
         }
         RecordedClient { name: "n/c".to_owned(), messages }
@@ -411,7 +414,7 @@ mod tests {
     fn restarted(mut client: RecordedClient, from: u64) -> RecordedClient {
         for message in &mut client.messages {
             let mut json: Value = serde_json::from_slice(&message.json).unwrap();
-            if message.topic == RecordedTopic::Taken {
+            if message.topic == RecordedTopic::Live(LiveTopic::Taken) {
                 json["start"] = if json["seq"].as_u64() < Some(from) { "a" } else { "b" }.into();
             }
             message.json = json.to_string().into_bytes();

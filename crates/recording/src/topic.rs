@@ -3,18 +3,10 @@
 use leadtime_link::live::LiveTopic;
 
 /// What a channel of a recording holds: what is published about a client and what its session is, or about a run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RecordedTopic {
-    /// What the client observes.
-    Observations,
-    /// What is said to it.
-    Say,
-    /// What it has heard.
-    Heard,
-    /// What the notifier does for it.
-    Status,
-    /// What the notifier took in, and when.
-    Taken,
+    /// What is published about a client.
+    Live(LiveTopic),
     /// What the session is.
     Session,
     /// What a learner or an actor reports of its run.
@@ -22,18 +14,15 @@ pub enum RecordedTopic {
 }
 
 impl RecordedTopic {
-    /// Those about a client.
-    const LIVE: [Self; 6] =
-        [Self::Observations, Self::Say, Self::Heard, Self::Status, Self::Taken, Self::Session];
+    /// Lists those about a client.
+    fn of_client() -> impl Iterator<Item = Self> {
+        LiveTopic::ALL.into_iter().map(Self::Live).chain([Self::Session])
+    }
 
     /// Returns the part of the channel's name that distinguishes it from others; the name is a key.
     pub fn as_str(self) -> &'static str {
         match self {
-            Self::Observations => LiveTopic::Observations.as_str(),
-            Self::Say => LiveTopic::Say.as_str(),
-            Self::Heard => LiveTopic::Heard.as_str(),
-            Self::Status => LiveTopic::Status.as_str(),
-            Self::Taken => LiveTopic::Taken.as_str(),
+            Self::Live(topic) => topic.as_str(),
             Self::Session => "session",
             Self::Metrics => "metrics",
         }
@@ -42,13 +31,17 @@ impl RecordedTopic {
     /// Returns name and text of the JSON Schema.
     pub(crate) fn schema(self) -> (&'static str, &'static str) {
         match self {
-            Self::Observations => {
-                ("leadtime.live.Observation", include_str!("../schemas/observation.json"))
-            }
-            Self::Say => ("leadtime.live.Say", include_str!("../schemas/say.json")),
-            Self::Heard => ("leadtime.live.Heard", include_str!("../schemas/heard.json")),
-            Self::Status => ("leadtime.live.Status", include_str!("../schemas/status.json")),
-            Self::Taken => ("leadtime.live.Taken", include_str!("../schemas/taken.json")),
+            Self::Live(topic) => match topic {
+                LiveTopic::Observations => {
+                    ("leadtime.live.Observation", include_str!("../schemas/observation.json"))
+                }
+                LiveTopic::Say => ("leadtime.live.Say", include_str!("../schemas/say.json")),
+                LiveTopic::Heard => ("leadtime.live.Heard", include_str!("../schemas/heard.json")),
+                LiveTopic::Status => {
+                    ("leadtime.live.Status", include_str!("../schemas/status.json"))
+                }
+                LiveTopic::Taken => ("leadtime.live.Taken", include_str!("../schemas/taken.json")),
+            },
             Self::Session => ("leadtime.live.Session", include_str!("../schemas/session.json")),
             Self::Metrics => ("leadtime.run.Metrics", include_str!("../schemas/metrics.json")),
         }
@@ -57,25 +50,13 @@ impl RecordedTopic {
     /// Reads a channel's name, `leadtime/live/1/{service}/{client}/{topic}`: what comes before the topic, and the topic.
     pub(crate) fn of_key(key: &str) -> Option<(&str, Self)> {
         let (before, last) = key.rsplit_once('/')?;
-        let topic = Self::LIVE.into_iter().find(|topic| topic.as_str() == last)?;
+        let topic = Self::of_client().find(|topic| topic.as_str() == last)?;
         Some((before.strip_prefix(KEYS)?, topic))
     }
 }
 
 /// What the name of every channel begins with.
 const KEYS: &str = "leadtime/live/1/";
-
-impl From<LiveTopic> for RecordedTopic {
-    fn from(topic: LiveTopic) -> Self {
-        match topic {
-            LiveTopic::Observations => Self::Observations,
-            LiveTopic::Say => Self::Say,
-            LiveTopic::Heard => Self::Heard,
-            LiveTopic::Status => Self::Status,
-            LiveTopic::Taken => Self::Taken,
-        }
-    }
-}
 
 #[cfg(test)]
 mod tests {
@@ -91,7 +72,7 @@ mod tests {
         for topic in LiveTopic::ALL {
             let key = topic.key(&service, &client).to_string();
             let read = RecordedTopic::of_key(&key).unwrap();
-            assert_eq!(read, ("notifier/car-1", topic.into()));
+            assert_eq!(read, ("notifier/car-1", RecordedTopic::Live(topic)));
         }
         for other in [
             "leadtime/1/run/obs",
@@ -101,7 +82,7 @@ mod tests {
         ] {
             assert_eq!(RecordedTopic::of_key(other), None);
         }
-        for topic in RecordedTopic::LIVE.into_iter().chain([RecordedTopic::Metrics]) {
+        for topic in RecordedTopic::of_client().chain([RecordedTopic::Metrics]) {
             let (name, text) = topic.schema();
             let schema: Value = serde_json::from_str(text).unwrap();
             assert_eq!(schema["title"], name);

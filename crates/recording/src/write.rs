@@ -133,6 +133,8 @@ impl<W: Write> RecordingWriter<W> {
 mod tests {
     use std::io;
 
+    use leadtime_link::live::LiveTopic;
+
     use super::*;
     use crate::read::{RecordingEnd, RecordingFile};
 
@@ -143,7 +145,7 @@ mod tests {
         let mut writer = RecordingWriter::new(Vec::new(), "a test").unwrap();
         for i in 0..n {
             let json = format!("{{\"session\":\"s\",\"state\":\"silent\",\"taken\":{i}}}");
-            writer.write(KEY, RecordedTopic::Status, i, json.as_bytes()).unwrap();
+            writer.write(KEY, RecordedTopic::Live(LiveTopic::Status), i, json.as_bytes()).unwrap();
             if i % 10 == 9 {
                 writer.flush().unwrap();
             }
@@ -219,7 +221,7 @@ mod tests {
         let mut n_kept = 0;
         let error = loop {
             let at = writer.n_messages();
-            writer.write(KEY, RecordedTopic::Status, at, b"{}").unwrap();
+            writer.write(KEY, RecordedTopic::Live(LiveTopic::Status), at, b"{}").unwrap();
             match writer.flush() {
                 Ok(()) => n_kept += 1,
                 Err(error) => break error,

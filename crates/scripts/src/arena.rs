@@ -2,9 +2,8 @@
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::thread;
 
-use leadtime_episodes::{MakeEnvironment, episode_seed};
+use leadtime_episodes::{MakeEnvironment, episode_seed, in_threads};
 use leadtime_numerics::Pcg64;
 use leadtime_sims::{Environment, Message, TaskError};
 
@@ -73,29 +72,10 @@ impl<'a> Arena<'a> {
                 done.push((index, try_once(environment, &mut bound, seed, index)?));
             }
         };
-        let mut done: Vec<(u64, Tried)> = if let [only] = &mut self.environments[..] {
-            work(only.as_mut())?
-        } else {
-            thread::scope(|scope| {
-                let mut threads = Vec::new();
-                for (i, environment) in self.environments.iter_mut().enumerate() {
-                    let name = format!("search-{i}");
-                    let work = || work(environment.as_mut());
-                    let thread = thread::Builder::new().name(name).spawn_scoped(scope, work);
-                    threads.push(thread.map_err(Error::Thread)?);
-                }
-                let mut all = Vec::new();
-                for thread in threads {
-                    // A panic in a thread is a bug; it goes on in the caller.
-                    let part =
-                        thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-                    all.extend(part?);
-                }
-                Ok::<_, Error>(all)
-            })?
-        };
-        done.sort_unstable_by_key(|(index, _)| *index);
-        Ok(done.into_iter().map(|(_, tried)| tried).collect())
+        let work = &work;
+        let environments = self.environments.iter_mut();
+        let jobs = environments.map(|environment| move || work(environment.as_mut()));
+        in_threads("search", jobs, Error::Thread)
     }
 
     /// Says things at random, and shows `look` the task's numbers in every step; returns what the episodes gave.

@@ -13,6 +13,7 @@ use std::fmt;
 
 use leadtime_proto::text::quoted;
 use leadtime_taxonomy::MAX_FACTS;
+use serde::Deserialize;
 use serde::de::{self, DeserializeSeed, Deserializer as _, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 use thiserror::Error;
@@ -353,7 +354,17 @@ struct Fields<'a> {
     found: &'a mut usize,
 }
 
-const FIELDS: [&str; 6] = ["seq", "t", "obs", "episode", "end", "facts"];
+/// The name of a field, in the order of [`RULES`].
+#[derive(Clone, Copy, Deserialize)]
+#[serde(field_identifier, rename_all = "snake_case")]
+enum FieldName {
+    Seq,
+    T,
+    Obs,
+    Episode,
+    End,
+    Facts,
+}
 
 /// What each field has to be. The first two may be missing, as far as JSON is concerned.
 const RULES: [FieldRule; 6] = [
@@ -407,50 +418,28 @@ impl<'de> Visitor<'de> for Fields<'_> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<[bool; 2], A::Error> {
         let Fields { into, found } = self;
-        let mut seen = [false; FIELDS.len()];
-        while let Some(field) = map.next_key_seed(FieldName)? {
-            if std::mem::replace(&mut seen[field], true) {
-                return Err(de::Error::duplicate_field(FIELDS[field]));
+        let mut seen = [false; RULES.len()];
+        while let Some(field) = map.next_key::<FieldName>()? {
+            if std::mem::replace(&mut seen[field as usize], true) {
+                return Err(de::Error::duplicate_field(RULES[field as usize].name));
             }
             match field {
-                0 => into.head.seq = map.next_value()?,
-                1 => into.head.t = map.next_value()?,
-                2 => {
+                FieldName::Seq => into.head.seq = map.next_value()?,
+                FieldName::T => into.head.t = map.next_value()?,
+                FieldName::Obs => {
                     let room = into.obs_dim;
                     map.next_value_seed(NumberList { into: &mut into.values, room, found })?;
                 }
-                3 => into.head.episode = map.next_value()?,
-                4 => into.head.end = map.next_value()?,
-                _ => {
+                FieldName::Episode => into.head.episode = map.next_value()?,
+                FieldName::End => into.head.end = map.next_value()?,
+                FieldName::Facts => {
                     into.facts = Some(());
                     map.next_value_seed(FactNames(&mut into.names))?;
                 }
             }
         }
-        if seen[2] { Ok([seen[0], seen[1]]) } else { Err(de::Error::missing_field(FIELDS[2])) }
-    }
-}
-
-struct FieldName;
-
-impl<'de> DeserializeSeed<'de> for FieldName {
-    type Value = usize;
-
-    fn deserialize<D: de::Deserializer<'de>>(self, name: D) -> Result<usize, D::Error> {
-        name.deserialize_identifier(self)
-    }
-}
-
-impl Visitor<'_> for FieldName {
-    type Value = usize;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("the name of a field")
-    }
-
-    fn visit_str<E: de::Error>(self, name: &str) -> Result<usize, E> {
-        let place = FIELDS.iter().position(|field| *field == name);
-        place.ok_or_else(|| E::unknown_field(&quoted(name), &FIELDS))
+        let [has_seq, has_t, has_obs, ..] = seen;
+        if has_obs { Ok([has_seq, has_t]) } else { Err(de::Error::missing_field("obs")) }
     }
 }
 

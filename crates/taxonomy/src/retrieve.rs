@@ -79,23 +79,10 @@ impl Retrieved<'_> {
 }
 
 impl Taxonomy {
-    /// Finds the sentences for a request, whether they are true or not.
-    ///
-    /// An empty cell gives the cell of the same topic that loses least; of equals, the smaller k', then the
-    /// smaller l'. Allocates nothing.
-    ///
-    /// # Errors
-    ///
-    /// [`TaxonomyError`] if the database has no topic of that index.
-    pub fn retrieve(&self, request: Request, loss: &Loss) -> Result<Retrieved<'_>, TaxonomyError> {
-        // Every topic has a sentence, and every sentence is true where everything holds.
-        let found = self.retrieve_true(request, loss, FactSet::ALL)?;
-        found.ok_or_else(|| self.no_topic(request))
-    }
-
     /// Finds the sentences for a request of which at least one is true; `None` if nothing true can be said on the topic.
     ///
-    /// The cell asked for is taken if one of its sentences is true, else the one with a true sentence that loses least.
+    /// The cell asked for is taken if one of its sentences is true, else the one with a true sentence that loses least; of
+    /// equals, the smaller k', then the smaller l'.
     /// [`Rotation::next`](crate::Rotation::next) takes one of the true ones. Depends on its arguments alone, and allocates
     /// nothing; neither do [`Taxonomy::facts_named`] and `next`.
     ///
@@ -131,7 +118,12 @@ impl Taxonomy {
         loss: &Loss,
         holding: FactSet,
     ) -> Result<Option<Retrieved<'_>>, TaxonomyError> {
-        let topic = self.topics().get(request.topic).ok_or_else(|| self.no_topic(request))?;
+        let topic = self.topics().get(request.topic).ok_or_else(|| {
+            let (topic, n_topics) = (request.topic, self.topics().len());
+            TaxonomyError(format!(
+                "there is no topic {topic}; the database has {n_topics}, numbered from 0"
+            ))
+        })?;
         let is_other = |cell: Cell| cell != request.cell;
         let can_be_said = |said: &[Utterance]| said.iter().any(|it| holding.includes(it.facts));
         // Cells come ordered by k, then l, so the first of the least is the one that is wanted.
@@ -149,13 +141,6 @@ impl Taxonomy {
             fallback: is_other(cell),
             seconds_lost: loss.seconds(request.cell, cell),
         }))
-    }
-
-    fn no_topic(&self, request: Request) -> TaxonomyError {
-        let (topic, n_topics) = (request.topic, self.topics().len());
-        TaxonomyError(format!(
-            "there is no topic {topic}; the database has {n_topics}, numbered from 0"
-        ))
     }
 }
 
@@ -220,6 +205,11 @@ mod tests {
         all.filter(move |(i, _)| bits >> i & 1 == 1).map(|(_, name)| name)
     }
 
+    /// Finds the sentences for a request, whether they are true or not.
+    fn retrieve<'a>(taxonomy: &'a Taxonomy, request: Request, loss: &Loss) -> Retrieved<'a> {
+        taxonomy.retrieve_true(request, loss, FactSet::ALL).unwrap().unwrap()
+    }
+
     fn request(topic: usize, k: u32, l: u32) -> Request {
         Request { topic, cell: Cell::new(k, l) }
     }
@@ -229,11 +219,11 @@ mod tests {
         let cells = [Cell::new(2, 2), Cell::new(4, 4), Cell::new(3, 5)];
         let taxonomy = with_cells(&[(0, cells[0]), (0, cells[1]), (0, cells[2]), (1, cells[0])]);
         let find = |k, l| {
-            let found = taxonomy.retrieve(request(0, k, l), &Loss::default()).unwrap();
+            let found = retrieve(&taxonomy, request(0, k, l), &Loss::default());
             assert!(found.fallback);
             (found.cell, found.seconds_lost)
         };
-        let found = taxonomy.retrieve(request(0, 3, 5), &Loss::default()).unwrap();
+        let found = retrieve(&taxonomy, request(0, 3, 5), &Loss::default());
         assert_eq!((found.cell, found.fallback, found.seconds_lost), (cells[2], false, 0.0));
         // Two words long: 0.3 (2 · 0.5). Early and short would cost 0.3 (1 + 0.5), late and long 0.3 (3 + 0.5).
         let (cell, seconds) = find(3, 3);
@@ -243,8 +233,9 @@ mod tests {
         assert_eq!(find(4, 5).0, Cell::new(4, 4));
         assert_eq!(find(5, 5).0, Cell::new(4, 4));
         // Never the other topic, not even for its exact cell.
-        assert_eq!(taxonomy.retrieve(request(1, 4, 4), &Loss::default()).unwrap().cell, cells[0]);
-        let error = taxonomy.retrieve(request(2, 2, 2), &Loss::default()).unwrap_err();
+        assert_eq!(retrieve(&taxonomy, request(1, 4, 4), &Loss::default()).cell, cells[0]);
+        let request = request(2, 2, 2);
+        let error = taxonomy.retrieve_true(request, &Loss::default(), FactSet::ALL).unwrap_err();
         assert_eq!(error.to_string(), "there is no topic 2; the database has 2, numbered from 0");
     }
 
@@ -253,10 +244,10 @@ mod tests {
         let taxonomy =
             with_cells(&[(0, Cell::new(3, 4)), (0, Cell::new(4, 5)), (1, Cell::new(2, 2))]);
         let even = Loss { seconds_per_word: 1.0, late: 1.0, early: 1.0, length: 0.0 };
-        let found = taxonomy.retrieve(request(0, 4, 4), &even).unwrap();
+        let found = retrieve(&taxonomy, request(0, 4, 4), &even);
         assert_eq!(found.cell, Cell::new(4, 5));
         let free = Loss { seconds_per_word: 1.0, late: 0.0, early: 0.0, length: 0.0 };
-        assert_eq!(taxonomy.retrieve(request(0, 5, 5), &free).unwrap().cell, Cell::new(3, 4));
+        assert_eq!(retrieve(&taxonomy, request(0, 5, 5), &free).cell, Cell::new(3, 4));
     }
 
     #[test]
@@ -273,7 +264,7 @@ mod tests {
         assert_eq!([0, 1, 2, 3].map(|holding| find(holding).fallback), [true, false, true, false]);
         // Without a fact that everybody tells, the cell alone decides.
         let request = Request { topic: 0, cell: asked };
-        assert_eq!(taxonomy.retrieve(request, &Loss::default()).unwrap().cell, asked);
+        assert_eq!(retrieve(&taxonomy, request, &Loss::default()).cell, asked);
         let taxonomy = with_facts(&[(asked, 1)]);
         let none = taxonomy.retrieve_true(request, &Loss::default(), FactSet::NONE).unwrap();
         assert_eq!(none, None);
@@ -325,7 +316,7 @@ mod tests {
                 }
             }
             let taxonomy = with_cells(&entries);
-            let found = taxonomy.retrieve(request(topic, k, l), &Loss::default()).unwrap();
+            let found = retrieve(&taxonomy, request(topic, k, l), &Loss::default());
             prop_assert_eq!(found.topic, topic);
             prop_assert!(found.cell.comprehension <= found.cell.conveyance);
             prop_assert!(!found.utterances.is_empty());
@@ -340,7 +331,7 @@ mod tests {
                     prop_assert!(found.seconds_lost <= seconds);
                 }
             }
-            let again = taxonomy.retrieve(request(topic, k, l), &Loss::default()).unwrap();
+            let again = retrieve(&taxonomy, request(topic, k, l), &Loss::default());
             prop_assert_eq!(again, found);
         }
     }

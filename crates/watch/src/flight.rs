@@ -9,7 +9,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use leadtime_eval::measure::{Choice, Player};
-use leadtime_eval::playthrough::{Playthrough, Spoken, Voice};
+use leadtime_eval::playthrough::{Activity, Playthrough, Spoken, Voice, topic_name};
 use leadtime_policy::Parameters;
 use leadtime_proto::PolicySpec;
 use leadtime_sims::{Environment, TaskError};
@@ -275,10 +275,7 @@ fn moment(
     let scenes = &spoken.played.scenes;
     let scene = &scenes[step];
     let shapes = scene.shapes.iter().filter(|shape| !still.contains(shape));
-    let topic = |id: usize| {
-        let name = scene.listener.topics.get(id).copied();
-        name.map_or_else(|| format!("topic {id}"), |name| name.replace('_', " "))
-    };
+    let topic = |id: usize| topic_name(scene, id);
     let said = spoken.timeline.utterances.iter().rposition(|it| it.start < step && step <= it.end);
     let said = said.map(|place| {
         let utterance = &spoken.timeline.utterances[place];
@@ -306,7 +303,7 @@ fn moment(
         "said": said,
         "pending": scene.listener.pending.map(topic),
         "reacting": scene.listener.reacting.map(topic),
-        "activity": activity.map(leadtime_eval::playthrough::Activity::label),
+        "activity": activity.map(Activity::label),
         "gauge": crate::actors::round(scene.gauge.value),
         "outcome": scene.outcome,
     });

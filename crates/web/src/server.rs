@@ -201,7 +201,9 @@ mod tests {
     async fn started(
         router: Router,
     ) -> (SocketAddr, CancellationToken, tokio::task::JoinHandle<()>) {
-        let server = HttpServer::bind(parse_address("127.0.0.1:0").unwrap()).await.unwrap();
+        let server = HttpServer::bind(parse_address("127.0.0.1:0", "127.0.0.1:8080").unwrap())
+            .await
+            .unwrap();
         assert!(server.is_local());
         let (address, stop) = (server.address(), CancellationToken::new());
         let serving = tokio::spawn(server.serve(router, Guard::new(), stop.clone()));
@@ -256,7 +258,9 @@ mod tests {
             let parts = parts.lock().unwrap().take().unwrap();
             async { Response::new(Body::from_stream(parts.into_stream())) }
         };
-        let mut server = HttpServer::bind(parse_address("127.0.0.1:0").unwrap()).await.unwrap();
+        let mut server = HttpServer::bind(parse_address("127.0.0.1:0", "127.0.0.1:8080").unwrap())
+            .await
+            .unwrap();
         server.write_time = Duration::from_millis(300);
         let (address, stop) = (server.address(), CancellationToken::new());
         let router = Router::new().route("/", get(answer));

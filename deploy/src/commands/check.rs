@@ -20,7 +20,7 @@ use leadtime_worker::{PythonSettings, check_worker};
 use serde_json::Value;
 
 use crate::cli::CheckArgs;
-use crate::credentials::{connect_settings, is_wrong_input};
+use crate::credentials::{connect_settings, dialling_failure};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
 use crate::threads;
@@ -170,11 +170,7 @@ fn writable(config: &Config) -> anyhow::Result<()> {
 async fn look(args: &CheckArgs) -> Result<(Vec<String>, Option<LearnerLine>), Failure> {
     let settings = connect_settings(&args.connect, &args.tls, args.connect_timeout, &Role::ALL);
     let settings = settings.blame(ExitCode::WrongInput)?;
-    let failure = |error| {
-        let is_input = is_wrong_input(&error);
-        Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
-    };
-    let (link, _events) = ObserverLink::open(&settings).await.map_err(failure)?;
+    let (link, _events) = ObserverLink::open(&settings).await.map_err(dialling_failure)?;
     let runs = link.runs().await.blame(ExitCode::PeerLost)?;
     let mut line = None;
     if let Some(run) = runs.first()

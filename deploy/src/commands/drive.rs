@@ -21,7 +21,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{describe, evaluation};
 use crate::cli::DriveArgs;
-use crate::credentials::{is_wrong_input, notifier_settings};
+use crate::credentials::{dialling_failure, notifier_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
 use crate::shutdown::{Watch, unless_cancelled, watch};
@@ -31,7 +31,7 @@ pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> 
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Robot])?;
     let client = own_name(args.client.as_ref(), &settings, "drive")?;
-    let link = LiveClientLink::open(&settings).await.map_err(failure)?;
+    let link = LiveClientLink::open(&settings).await.map_err(dialling_failure)?;
     let task = &config.evaluation.task;
     let environment = tasks.registry.build(task).blame(ExitCode::WrongInput)?;
     let asked = ClientSettings {
@@ -219,14 +219,9 @@ fn client_failure(error: ClientError) -> Failure {
             );
             Failure::of(ExitCode::PeerLost, anyhow::Error::msg(sentence))
         }
-        ClientError::Link(error) => failure(error),
+        ClientError::Link(error) => dialling_failure(error),
         error => Failure::of(ExitCode::PeerLost, error),
     }
-}
-
-pub(super) fn failure(error: LinkError) -> Failure {
-    let is_input = is_wrong_input(&error) || matches!(error, LinkError::ReservedName(_));
-    Failure::of(if is_input { ExitCode::WrongInput } else { ExitCode::PeerLost }, error)
 }
 
 #[cfg(test)]

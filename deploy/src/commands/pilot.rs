@@ -39,19 +39,11 @@ fn read(file: &Path) -> anyhow::Result<Pilot> {
 
 fn print(args: &PilotEvalArgs, evaluation: &PilotEvaluation) {
     if args.json {
-        output::json(&json!({
-            "pilot": args.pilot.display().to_string(),
-            "seeds": format!("{}..{}", args.seeds.start, args.seeds.end),
-            "wind": args.wind,
-            "episodes": evaluation.n_episodes,
-            "mean_return": evaluation.mean_return,
-            "standard_error": evaluation.standard_error,
-            "mean_frames": evaluation.mean_frames,
-            "landed": evaluation.landed,
-            "crashed": evaluation.crashed,
-            "out": evaluation.out,
-            "timed_out": evaluation.timed_out,
-        }));
+        let mut told = json!(evaluation);
+        told["pilot"] = args.pilot.display().to_string().into();
+        told["seeds"] = format!("{}..{}", args.seeds.start, args.seeds.end).into();
+        told["wind"] = args.wind.into();
+        output::json(&told);
         return;
     }
     let wind = if args.wind { "with wind" } else { "without wind" };

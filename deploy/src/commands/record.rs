@@ -15,9 +15,8 @@ use leadtime_runs::clock;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_util::sync::CancellationToken;
 
-use super::drive;
 use crate::cli::RecordArgs;
-use crate::credentials::notifier_settings;
+use crate::credentials::{dialling_failure, notifier_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::new_file::NewFile;
 use crate::output;
@@ -35,7 +34,7 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let open = LiveRecorderLink::open(&settings, &args.notifier.service, args.live.as_ref());
     let (link, samples) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
-        opened = open => opened.map_err(drive::failure)?,
+        opened = open => opened.map_err(dialling_failure)?,
     };
     let writer = begin(&mut file)?;
     let recorder = LiveRecorder::new(writer, args.notifier.service.clone());

@@ -15,10 +15,9 @@ use serde_json::Value;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use super::drive;
 use super::record::{FLUSH_EVERY, RecordFailure, arrived, begin, close, end, stop_after};
 use crate::cli::RecordArgs;
-use crate::credentials::notifier_settings;
+use crate::credentials::{dialling_failure, notifier_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::new_file::NewFile;
 use crate::shutdown::{Watch, watch};
@@ -37,7 +36,7 @@ pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
     };
     let (link, events, run) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
-        opened = opened => opened.map_err(drive::failure)?,
+        opened = opened => opened.map_err(dialling_failure)?,
     };
     let mut writer = begin(&mut file)?;
     let shown = args.output.display();

@@ -26,7 +26,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::{drive, recorded, serve};
 use crate::cli::{ReplayArgs, ReplaySpeed, ServeArgs};
-use crate::credentials::notifier_settings;
+use crate::credentials::{dialling_failure, notifier_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
 use crate::shutdown::{Watch, unless_cancelled, watch};
@@ -45,11 +45,11 @@ pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure>
         unless_cancelled(&shutdown, move || at_hand(&sessions, policies, &pace)).await?
     } else {
         let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Robot])?;
-        let link = LiveClientLink::open(&settings).await.map_err(drive::failure)?;
-        link.find(&args.notifier.service).await.map_err(drive::failure)?;
+        let link = LiveClientLink::open(&settings).await.map_err(dialling_failure)?;
+        link.find(&args.notifier.service).await.map_err(dialling_failure)?;
         let client = drive::own_name(args.client.as_ref(), &settings, "replay")?;
         let port = link.port(&args.notifier.service, &client, clock::incarnation());
-        let target = SessionOverNetwork::new(port.map_err(drive::failure)?);
+        let target = SessionOverNetwork::new(port.map_err(dialling_failure)?);
         let work = move || over_network(&sessions, target, &pace);
         let played = unless_cancelled(&shutdown, work).await?;
         drop(link.close().await);
@@ -245,7 +245,7 @@ fn unplayed(session: &RecordedSession) -> PlayedSession {
 fn failure(error: RecordingError) -> Failure {
     use leadtime_serve::ClientError;
     match error {
-        RecordingError::Client(ClientError::Link(error)) => drive::failure(error),
+        RecordingError::Client(ClientError::Link(error)) => dialling_failure(error),
         error @ RecordingError::Client(_) => Failure::of(ExitCode::PeerLost, error),
         error => Failure::of(ExitCode::WrongInput, error),
     }

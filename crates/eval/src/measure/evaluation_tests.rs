@@ -1,7 +1,7 @@
 //! Evaluations are functions of task, player and seed, and of nothing else.
 
 use leadtime_episodes::{Decision, Error as Refusal};
-use leadtime_proto::{ActionSpec, Encoder, HeadCredit, PolicySpec};
+use leadtime_proto::{ActionSpec, EnvSpec, PolicySpec};
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
 use leadtime_sims::{Environment, TaskError};
 
@@ -14,15 +14,8 @@ fn cartpole() -> Result<Box<dyn Environment>, TaskError> {
 }
 
 fn policy_spec(obs_dim: usize) -> PolicySpec {
-    PolicySpec {
-        obs_dim,
-        encoder: Encoder::Identity,
-        hidden: vec![16, 16],
-        actions: ActionSpec::discrete("push", 2),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    }
+    let actions = ActionSpec::discrete("push", 2);
+    PolicySpec::dense(&EnvSpec { obs_dim, actions, metrics: Vec::new() }, &[16, 16])
 }
 
 fn untrained() -> Player {

@@ -1,7 +1,7 @@
 //! The messages of an episode, and when each was spoken.
 
 use leadtime_episodes::{EnvSlot, EpisodeObserver, Observer};
-use leadtime_sims::{End, Speech, StepOutcome};
+use leadtime_sims::{End, Speech};
 
 /// A message that was spoken, whole or in part.
 ///
@@ -55,19 +55,9 @@ pub struct SpeechLog {
     moments: Vec<Option<Speech>>,
 }
 
-impl SpeechLog {
-    fn note(&mut self, slot: &EnvSlot) {
-        self.moments.push(slot.env().insight().and_then(|insight| insight.speech));
-    }
-}
-
 impl Observer for SpeechLog {
-    fn on_reset(&mut self, slot: &EnvSlot) {
-        self.note(slot);
-    }
-
-    fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
-        self.note(slot);
+    fn on_moment(&mut self, slot: &EnvSlot) {
+        self.moments.push(slot.env().insight().and_then(|insight| insight.speech));
     }
 }
 

@@ -16,8 +16,7 @@ mod truth;
 mod voice;
 
 pub use record::Playthrough;
-pub(crate) use timeline::topic_name;
-pub use timeline::{Activity, Span, Timeline};
+pub use timeline::{Activity, Span, Timeline, topic_name};
 pub use truth::{FalseSentence, Truthfulness};
 pub use voice::{Choosing, Sentence, Spoken, Voice};
 

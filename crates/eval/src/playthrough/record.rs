@@ -3,7 +3,7 @@
 use leadtime_episodes::{
     EnvSlot, EpisodeObserver, MakeEnvironment, Observer, PlaySettings, Player, play,
 };
-use leadtime_sims::{End, Scene, StepOutcome};
+use leadtime_sims::{End, Scene};
 
 use crate::error::Error;
 
@@ -82,11 +82,7 @@ impl Playthrough {
 struct SceneLog(Playthrough);
 
 impl Observer for SceneLog {
-    fn on_reset(&mut self, slot: &EnvSlot) {
-        self.0.scenes.extend(slot.env().scene());
-    }
-
-    fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
+    fn on_moment(&mut self, slot: &EnvSlot) {
         self.0.scenes.extend(slot.env().scene());
     }
 }

@@ -85,7 +85,7 @@ impl Timeline {
 }
 
 /// Returns a topic's name in words.
-pub(crate) fn topic_name(scene: &Scene, topic: usize) -> String {
+pub fn topic_name(scene: &Scene, topic: usize) -> String {
     let name = scene.listener.topics.get(topic).copied();
     name.map_or_else(|| format!("topic {topic}"), |name| name.replace('_', " "))
 }

@@ -7,7 +7,7 @@
 use leadtime_episodes::{
     EnvSlot, EpisodeObserver, MakeEnvironment, Observer, PlaySettings, Player, play,
 };
-use leadtime_sims::{End, Speech, StepOutcome};
+use leadtime_sims::{End, Speech};
 use serde::Serialize;
 
 use super::voice::{Choosing, Chosen, Voice};
@@ -120,11 +120,6 @@ struct FactLog {
 }
 
 impl FactLog {
-    fn note(&mut self, slot: &EnvSlot) {
-        let insight = slot.env().insight();
-        self.moments.extend(insight.map(|insight| (insight.speech, slot.env().facts_that_hold())));
-    }
-
     fn messages(&self) -> Vec<LoggedMessage> {
         let speech: Vec<_> = self.moments.iter().map(|(speech, _)| *speech).collect();
         LoggedMessage::all(&speech)
@@ -132,12 +127,9 @@ impl FactLog {
 }
 
 impl Observer for FactLog {
-    fn on_reset(&mut self, slot: &EnvSlot) {
-        self.note(slot);
-    }
-
-    fn on_step(&mut self, slot: &EnvSlot, _outcome: StepOutcome) {
-        self.note(slot);
+    fn on_moment(&mut self, slot: &EnvSlot) {
+        let insight = slot.env().insight();
+        self.moments.extend(insight.map(|insight| (insight.speech, slot.env().facts_that_hold())));
     }
 }
 

@@ -243,7 +243,8 @@ mod tests {
             let cells = CellTable::new(&table, &["a"], &[0]).unwrap();
             for &cell in &all {
                 let request = Request { topic: 0, cell };
-                let said = taxonomy.retrieve(request, &Loss::default()).unwrap().cell;
+                let said = taxonomy.retrieve_true(request, &Loss::default(), FactSet::ALL);
+                let said = said.unwrap().unwrap().cell;
                 let Cell { comprehension, conveyance } = cell;
                 let learned = cells.nearest(Message { topic: 0, comprehension, conveyance });
                 let learned = Cell::new(learned.comprehension, learned.conveyance);

@@ -1,7 +1,7 @@
 //! A task whose observation reveals the listener's delay as plainly as a test wants.
 
 use leadtime_numerics::{Pcg64, Purpose};
-use leadtime_proto::{ActionSpec, Encoder, EnvSpec, HeadCredit, PolicySpec};
+use leadtime_proto::{ActionSpec, Encoder, EnvSpec, PolicySpec};
 use leadtime_sims::{
     End, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome, TaskError,
 };
@@ -39,11 +39,7 @@ pub(super) struct Synthetic {
 
 impl Synthetic {
     pub(super) fn new(told: Revealed) -> Self {
-        let spec = EnvSpec {
-            obs_dim: 1 + N_NOISE,
-            actions: ActionSpec::discrete("speak", 2),
-            metrics: Vec::new(),
-        };
+        let spec = spec();
         let noise = Pcg64::seed_from_u64(0);
         Self { spec, told, noise, delay: 0, n_steps: 0, end: 0, fickle: false, most: 5 }
     }
@@ -98,6 +94,11 @@ impl Environment for Synthetic {
     }
 }
 
+fn spec() -> EnvSpec {
+    let actions = ActionSpec::discrete("speak", 2);
+    EnvSpec { obs_dim: 1 + N_NOISE, actions, metrics: Vec::new() }
+}
+
 /// Makes such a task.
 pub(super) fn make(told: Revealed) -> impl Fn() -> Result<Box<dyn Environment>, TaskError> + Sync {
     move || Ok(Box::new(Synthetic::new(told)))
@@ -105,14 +106,7 @@ pub(super) fn make(told: Revealed) -> impl Fn() -> Result<Box<dyn Environment>, 
 
 /// A network that was never trained: wide enough to keep what it sees.
 pub(super) fn player() -> Player {
-    let spec = PolicySpec {
-        obs_dim: 1 + N_NOISE,
-        encoder: Encoder::Lstm { projection: 0, state: 12 },
-        hidden: vec![32],
-        actions: ActionSpec::discrete("speak", 2),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    };
+    let encoder = Encoder::Lstm { projection: 0, state: 12 };
+    let spec = PolicySpec { encoder, ..PolicySpec::dense(&spec(), &[32]) };
     Player::untrained(&spec, 5, Choice::Sample).expect("the architecture is possible")
 }

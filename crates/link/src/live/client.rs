@@ -12,7 +12,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
-use super::keys::{LiveKey, check_name, parse_alive};
+use super::keys::{LiveKey, LiveTopic, check_name, parse_alive};
 use super::port::raw;
 use crate::pubsub::{appear, publisher, subscribe, watch_tokens};
 use crate::{ConnectSettings, Error, Result, discovery, keys, session, wire};
@@ -127,14 +127,15 @@ impl ClientPort {
                 drop(sender.try_send(wrap(sample.payload().to_bytes().into_owned())));
             }
         };
-        let say = subscribe(session, LiveKey::Say(service, client), take(LiveMessage::Say))?;
-        let key = LiveKey::Status(service, client);
+        let key = LiveTopic::Say.key(service, client);
+        let say = subscribe(session, key, take(LiveMessage::Say))?;
+        let key = LiveTopic::Status.key(service, client);
         let status = subscribe(session, key, take(LiveMessage::Status))?;
         let presence = watch_service(session, service, sender)?;
         let token = appear(session, LiveKey::Client(service, client, incarnation))?;
-        let key = LiveKey::Observations(service, client);
+        let key = LiveTopic::Observations.key(service, client);
         let observations = publisher(session, key, wire::SPEECH, Encoding::APPLICATION_JSON)?;
-        let key = LiveKey::Heard(service, client);
+        let key = LiveTopic::Heard.key(service, client);
         let heard = publisher(session, key, wire::SPEECH, Encoding::APPLICATION_JSON)?;
         Ok(Self {
             service: service.clone(),

@@ -17,9 +17,8 @@ impl LiveClientLink {
     ///
     /// [`Error::Network`] if the network has ended.
     pub fn put_at(&self, key: &str, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        let put = self.session.put(any_key(key)?, bytes);
-        let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
-        put.wait().map_err(Error::network("publish on", key))
+        let put = self.session.put(any_key(key)?, bytes).attachment(beside).wait();
+        put.map_err(Error::network("publish on", key))
     }
 
     /// Takes what is put on any key, with what is beside it, for as long as the answer is kept.
@@ -55,9 +54,8 @@ impl ClientPort {
     ///
     /// [`Error::Network`] if the network has ended.
     pub fn observe_as(&self, form: &str, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        let put = self.observations.put(bytes).encoding(form);
-        let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
-        put.wait().map_err(Error::network("publish on", self.observations.key_expr()))
+        let put = self.observations.put(bytes).encoding(form).attachment(beside).wait();
+        put.map_err(Error::network("publish on", self.observations.key_expr()))
     }
 }
 

@@ -14,7 +14,7 @@ use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::sample::Sample;
 use zenoh::session::Session;
 
-use super::keys::LiveKey;
+use super::keys::LiveTopic;
 use super::robot::{RobotKeys, RobotPort};
 use crate::lock::lock;
 use crate::pubsub::{publisher, subscribe};
@@ -126,7 +126,7 @@ impl LivePort {
     ) -> Result<Self> {
         let inbox = Arc::new(Inbox::default());
         let (arrivals, woken) = (Arc::clone(&inbox), Arc::clone(&wake));
-        let own = LiveKey::Observations(service, client).to_string();
+        let own = LiveTopic::Observations.key(service, client).to_string();
         let observations =
             subscribe(session, robot.map_or(&own, |robot| &robot.observations), move |sample| {
                 if sample.payload().len() > MAX_LIVE_BYTES {
@@ -140,7 +140,8 @@ impl LivePort {
                 woken();
             })?;
         let (sender, heard) = flume::bounded(MAX_HEARD);
-        let hearing = subscribe(session, LiveKey::Heard(service, client), move |sample| {
+        let key = LiveTopic::Heard.key(service, client);
+        let hearing = subscribe(session, key, move |sample| {
             let bytes = sample.payload().to_bytes();
             // A report without room in the queue counts as lost: then the clock of words decides.
             if bytes.len() <= MAX_LIVE_BYTES && sender.try_send(bytes.into_owned()).is_ok() {
@@ -150,11 +151,11 @@ impl LivePort {
         let qos = crate::wire::SPEECH;
         let form =
             if say_raw { Encoding::APPLICATION_OCTET_STREAM } else { Encoding::APPLICATION_JSON };
-        let say = publisher(session, LiveKey::Say(service, client), qos, form)?;
-        let key = LiveKey::Status(service, client);
+        let say = publisher(session, LiveTopic::Say.key(service, client), qos, form)?;
+        let key = LiveTopic::Status.key(service, client);
         let status = publisher(session, key, crate::wire::NOTICE, Encoding::APPLICATION_JSON)?;
         // With the same priority as what is said, so that it arrives after what it reports.
-        let key = LiveKey::Taken(service, client);
+        let key = LiveTopic::Taken.key(service, client);
         let taken = publisher(session, key, qos, Encoding::APPLICATION_JSON)?;
         let declare = || publisher(session, own, qos, Encoding::APPLICATION_JSON);
         let observed = robot.map(|_| declare()).transpose()?;

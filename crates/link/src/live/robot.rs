@@ -92,9 +92,8 @@ impl RobotPort {
 
 fn put(to: Option<&Publisher<'static>>, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
     let Some(to) = to else { return Ok(()) };
-    let put = to.put(bytes);
-    let put = if let Some(beside) = beside { put.attachment(beside) } else { put };
-    put.wait().map_err(Error::network("publish on", to.key_expr()))
+    let put = to.put(bytes).attachment(beside).wait();
+    put.map_err(Error::network("publish on", to.key_expr()))
 }
 
 #[cfg(test)]

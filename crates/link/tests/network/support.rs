@@ -10,13 +10,13 @@ use leadtime_link::{
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Hello, HelloReply, Welcome};
 use leadtime_proto::{
-    ActionSpec, ActorId, DomainName, EnvId, EnvSpec, Header, Incarnation, Iteration, PolicySpec,
-    PolicyVersion, RefusalCause, Rollout, RunName, RunSpec, Schedule, Sequence, TaskSpec, codec,
+    ActorId, DomainName, EnvId, Header, Incarnation, Iteration, PolicyVersion, RefusalCause,
+    Rollout, RunName, Schedule, Sequence, codec, fakes,
 };
 use tempfile::TempDir;
 
 /// The number that belongs to [`learner_start`].
-pub(crate) const LEARNER: Incarnation = Incarnation(0);
+pub(crate) const LEARNER: Incarnation = Incarnation(0x3a60_119f_06de_804c);
 pub(crate) const DOMAIN: &str = "cue_recall";
 /// Longest wait for anything that must happen.
 pub(crate) const SOON: Duration = Duration::from_secs(20);
@@ -176,35 +176,12 @@ pub(crate) fn start(id: &str) -> StartKey {
 }
 
 pub(crate) fn hello(id: &str) -> Hello {
-    Hello {
-        program: "test".to_owned(),
-        actor: actor_id(id),
-        incarnation: start(id).incarnation(),
-        cpu: "cpu".to_owned(),
-        published: Sequence(0),
-        first_unacknowledged: Sequence(1),
-    }
+    fakes::hello(actor_id(id), start(id).incarnation())
 }
 
 pub(crate) fn welcome(name: &str) -> Welcome {
-    let actions = ActionSpec::discrete("choice", 2);
-    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-    let task = TaskSpec { domain: DOMAIN.to_owned(), settings: "{}".to_owned() };
-    let spec = RunSpec {
-        seed: 7,
-        task,
-        policy: PolicySpec::dense(&env, &[8]),
-        env,
-        n_steps: 2,
-        schedule: Schedule::Lag(0),
-    };
-    Welcome {
-        run: run(name),
-        spec,
-        window: 4,
-        weights: Announcement { learner: LEARNER, versions: Vec::new() },
-        resend_from: Sequence(1),
-    }
+    let nothing = Announcement { learner: LEARNER, versions: Vec::new() };
+    fakes::welcome(run(name), fakes::run_spec(DOMAIN, 2, Schedule::Lag(0)), nothing)
 }
 
 /// A rollout message that a learner takes.

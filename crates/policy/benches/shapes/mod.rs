@@ -1,6 +1,6 @@
 //! Policies of the shapes that are trained, for the benches of inference and of the update.
 
-use leadtime_proto::{ActionSpec, EgoAttention, Encoder, Head, HeadCredit, PolicySpec};
+use leadtime_proto::{ActionSpec, EgoAttention, Encoder, EnvSpec, Head, PolicySpec};
 
 fn actions(n_topics: usize) -> ActionSpec {
     let head = |name: &str, n_choices| Head { name: name.to_owned(), n_choices };
@@ -10,15 +10,8 @@ fn actions(n_topics: usize) -> ActionSpec {
 
 /// 60 inputs, two hidden layers of 64.
 pub(crate) fn plain() -> PolicySpec {
-    PolicySpec {
-        obs_dim: 60,
-        encoder: Encoder::Identity,
-        hidden: vec![64, 64],
-        actions: actions(4),
-        head_credit: HeadCredit::All,
-        logit_bias: Vec::new(),
-        normalize_observations: false,
-    }
+    let env = EnvSpec { obs_dim: 60, actions: actions(4), metrics: Vec::new() };
+    PolicySpec::dense(&env, &[64, 64])
 }
 
 /// Ego attention to four frames of ten entities of seven numbers.

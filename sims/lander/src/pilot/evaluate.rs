@@ -52,6 +52,7 @@ pub struct Flown {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PilotEvaluation {
     /// Number of episodes that were played.
+    #[serde(rename = "episodes")]
     pub n_episodes: u64,
     /// Mean return over the episodes.
     pub mean_return: f64,
