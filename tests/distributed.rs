@@ -21,7 +21,7 @@ use leadtime_ppo::{LearnerSettings, Mode, Trainer};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, EnvAssignment};
 use leadtime_proto::{
-    ActorId, EnvId, EnvSpec, Header, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
+    ActorId, EnvId, EnvSpec, Epoch, Header, Iteration, PolicySpec, PolicyVersion, Rollout, RunName,
     RunSpec, Sequence, TaskSpec, codec, fakes,
 };
 use tokio::sync::watch;
@@ -590,6 +590,11 @@ fn pretended() -> StartKey {
     StartKey::numbered(2_000)
 }
 
+/// The assignment that who follows this order follows then.
+fn epoch(control: &Control) -> Epoch {
+    if let Control::Assign(assignment) = control { assignment.epoch } else { Epoch(0) }
+}
+
 /// An actor that takes part in everything but the work.
 async fn pretender(directory: &Path, name: &str) -> (ActorLink, leadtime_link::Events<ActorEvent>) {
     let (actor, start) = (ActorId::new(name).unwrap(), pretended());
@@ -608,8 +613,8 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
     let (_link, inbox) = pretender(directory.path(), "mute").await;
     let follower = tokio::spawn(async move {
         while let Some(event) = inbox.recv().await {
-            if let ActorEvent::Control { control: Control::Assign(assignment), reply, .. } = event {
-                reply.reply(&ControlReply::Followed { epoch: assignment.epoch }).unwrap();
+            if let ActorEvent::Control { control, reply, .. } = event {
+                reply.reply(&ControlReply::Followed { epoch: epoch(&control) }).unwrap();
             }
         }
     });
@@ -633,9 +638,10 @@ async fn poison(link: ActorLink, inbox: leadtime_link::Events<ActorEvent>) {
     let mut n_sent = None;
     while let Some(event) = inbox.recv().await {
         match event {
-            ActorEvent::Control { control: Control::Assign(assignment), reply, .. } => {
-                let epoch = assignment.epoch;
+            ActorEvent::Control { control, reply, .. } => {
+                let epoch = epoch(&control);
                 reply.reply(&ControlReply::Followed { epoch }).unwrap();
+                let Control::Assign(assignment) = control else { continue };
                 let mut worker = Worker::new(spec.clone());
                 for given in &assignment.envs {
                     let env = leadtime_worlds::builtin().build(&spec.task).unwrap();

@@ -393,12 +393,14 @@ impl World {
                 return;
             }
             orders.under_way = None;
-            let Some(Control::Assign(ordered)) = orders.queue.pop_front() else { return };
+            let (order, membership) = (orders.queue.pop_front(), orders.membership);
+            learner.coordinator.answered(from, membership);
+            let Some(Control::Assign(ordered)) = order else { return };
             match reply {
                 ControlReply::Followed { epoch } | ControlReply::CannotRestore { epoch, .. }
                     if epoch != ordered.epoch =>
                 {
-                    learner.coordinator.astray(from, orders.membership, epoch);
+                    learner.coordinator.astray(from, membership, epoch);
                 }
                 ControlReply::Followed { .. } => {}
                 ControlReply::CannotRestore { epoch, envs } => {

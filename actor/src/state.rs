@@ -405,6 +405,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
                 let cut = Err(Error::CutOff { run, reason: reason.clone() });
                 return self.end(if cut_off { cut } else { Ok(ActorEnd::Dismissed { reason }) });
             }
+            Control::Wait => return self.answer(reply),
         };
         // An order that is given again, because its answer was late or lost, is followed once and answered alike.
         let (generation, epoch) = (self.generation, assignment.epoch);

@@ -20,12 +20,14 @@ const QUEUED: usize = 64;
 const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 /// How often a message is sent before the actor is given up.
 const ATTEMPTS: usize = 2;
-/// The most failures that wait to be noticed.
-const QUEUED_FAILURES: usize = 256;
+/// The most outcomes that wait to be noticed.
+const QUEUED_OUTCOMES: usize = 256;
 
-/// What happened to a control message that was not followed.
+/// What came of a control message.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) enum ControlFailure {
+pub(crate) enum ControlOutcome {
+    /// The actor answered in this membership, and follows.
+    Answered(SenderKey, MembershipNumber),
     /// The actor did not answer in this membership.
     Silent(SenderKey, MembershipNumber),
     /// The actor follows the assignment except for environments that it cannot restore.
@@ -48,15 +50,15 @@ struct Courier {
 pub(crate) struct ControlOutbox {
     link: Arc<LearnerLink>,
     couriers: BTreeMap<SenderKey, Courier>,
-    failed: mpsc::Sender<ControlFailure>,
-    /// Control messages that failed.
-    pub(crate) failures: mpsc::Receiver<ControlFailure>,
+    told: mpsc::Sender<ControlOutcome>,
+    /// What came of control messages.
+    pub(crate) outcomes: mpsc::Receiver<ControlOutcome>,
 }
 
 impl ControlOutbox {
     pub(crate) fn new(link: Arc<LearnerLink>) -> Self {
-        let (failed, failures) = mpsc::channel(QUEUED_FAILURES);
-        Self { link, couriers: BTreeMap::new(), failed, failures }
+        let (told, outcomes) = mpsc::channel(QUEUED_OUTCOMES);
+        Self { link, couriers: BTreeMap::new(), told, outcomes }
     }
 
     /// Queues a message. Returns whether there was room: an actor that acknowledges none has none.
@@ -66,11 +68,10 @@ impl ControlOutbox {
         membership: MembershipNumber,
         control: Control,
     ) -> bool {
-        let (link, failed) = (&self.link, &self.failed);
+        let (link, told) = (&self.link, &self.told);
         let start = || {
             let (messages, queued) = mpsc::channel(QUEUED);
-            let delivery =
-                deliver(Arc::clone(link), to.clone(), membership, queued, failed.clone());
+            let delivery = deliver(Arc::clone(link), to.clone(), membership, queued, told.clone());
             let task = tokio::spawn(delivery).abort_handle();
             Courier { membership, messages: Some(messages), task }
         };
@@ -100,21 +101,19 @@ async fn deliver(
     to: SenderKey,
     membership: MembershipNumber,
     mut messages: mpsc::Receiver<Control>,
-    failed: mpsc::Sender<ControlFailure>,
+    told: mpsc::Sender<ControlOutcome>,
 ) {
     while let Some(control) = messages.recv().await {
         for attempt in 1..=ATTEMPTS {
             match link.control(&to.0, to.1, &control, ACK_TIMEOUT).await {
                 Ok(reply) => {
-                    if let Some(failure) = failure(&to, membership, &control, reply) {
-                        drop(failed.send(failure).await);
-                    }
+                    drop(told.send(outcome(&to, membership, &control, reply)).await);
                     break;
                 }
                 Err(error) => {
                     debug!(actor = %to.0, attempt, %error, "control message not acknowledged");
                     if attempt == ATTEMPTS {
-                        drop(failed.send(ControlFailure::Silent(to, membership)).await);
+                        drop(told.send(ControlOutcome::Silent(to, membership)).await);
                         return;
                     }
                 }
@@ -123,22 +122,23 @@ async fn deliver(
     }
 }
 
-/// Compares an answer with the message; `None` if it is followed. Orders are sent one at a time and in order, so an actor
-/// that takes them from this learner alone follows the one that it answers.
-fn failure(
+/// Compares an answer with the message. Orders are sent one at a time and in order, so an actor that takes them from this
+/// learner alone follows the one that it answers.
+fn outcome(
     to: &SenderKey,
     membership: MembershipNumber,
     control: &Control,
     reply: ControlReply,
-) -> Option<ControlFailure> {
-    let Control::Assign(Assignment { epoch: ordered, .. }) = control else { return None };
+) -> ControlOutcome {
+    let followed = ControlOutcome::Answered(to.clone(), membership);
+    let Control::Assign(Assignment { epoch: ordered, .. }) = control else { return followed };
     match reply {
-        ControlReply::Followed { epoch } if epoch == *ordered => None,
+        ControlReply::Followed { epoch } if epoch == *ordered => followed,
         ControlReply::CannotRestore { epoch, envs } if epoch == *ordered => {
-            Some(ControlFailure::CannotRestore(to.clone(), epoch, envs))
+            ControlOutcome::CannotRestore(to.clone(), epoch, envs)
         }
         ControlReply::Followed { epoch } | ControlReply::CannotRestore { epoch, .. } => {
-            Some(ControlFailure::Astray(to.clone(), membership, epoch))
+            ControlOutcome::Astray(to.clone(), membership, epoch)
         }
     }
 }
@@ -155,18 +155,20 @@ mod tests {
         let membership = MembershipNumber::default();
         let order =
             Control::Assign(Assignment { epoch: Epoch(7), envs: Vec::new(), keep: Vec::new() });
-        let heard = |control: &Control, reply| failure(&key, membership, control, reply);
+        let heard = |control: &Control, reply| outcome(&key, membership, control, reply);
         let followed = |epoch| ControlReply::Followed { epoch: Epoch(epoch) };
         let cannot =
             |epoch| ControlReply::CannotRestore { epoch: Epoch(epoch), envs: vec![EnvId(3)] };
-        let astray = |epoch| Some(ControlFailure::Astray(key.clone(), membership, Epoch(epoch)));
-        assert_eq!(heard(&order, followed(7)), None);
+        let astray = |epoch| ControlOutcome::Astray(key.clone(), membership, Epoch(epoch));
+        let answered = || ControlOutcome::Answered(key.clone(), membership);
+        assert_eq!(heard(&order, followed(7)), answered());
         assert_eq!(heard(&order, followed(u64::MAX)), astray(u64::MAX));
         assert_eq!(heard(&order, followed(6)), astray(6));
         assert_eq!(heard(&order, cannot(8)), astray(8));
-        let known = ControlFailure::CannotRestore(key.clone(), Epoch(7), vec![EnvId(3)]);
-        assert_eq!(heard(&order, cannot(7)), Some(known));
+        let known = ControlOutcome::CannotRestore(key.clone(), Epoch(7), vec![EnvId(3)]);
+        assert_eq!(heard(&order, cannot(7)), known);
         let stop = Control::Stop { reason: String::new(), cut_off: false };
-        assert_eq!(heard(&stop, followed(6)), None);
+        assert_eq!(heard(&stop, followed(6)), answered());
+        assert_eq!(heard(&Control::Wait, followed(6)), answered());
     }
 }

@@ -277,6 +277,16 @@ impl Coordinator {
         }
     }
 
+    /// Notes that an actor has answered an order of this membership: from its first answer on it may have environments.
+    pub fn answered(&mut self, key: &SenderKey, membership: MembershipNumber) {
+        if self.is_current(key, membership) && self.roster.answer(key) {
+            // Its share of what others step waits for the end of the update; only what nobody steps is given out at once.
+            self.rebalance_due = true;
+            self.begin_if_enough();
+            self.orphans_due = true;
+        }
+    }
+
     /// Notes that an actor acknowledged no message of this membership: it is given up, unless it has come back meanwhile.
     pub fn silent(&mut self, key: &SenderKey, membership: MembershipNumber) {
         if self.is_current(key, membership) {
@@ -485,8 +495,10 @@ impl Coordinator {
             self.tell(RunEvent::SnapshotRefused { actor, env_id });
             // A member that may have no environments at present is not asked: its failure would prove nothing.
             let doubters = self.queue.doubt(env_id, &key.0);
-            let may_try =
-                |other: &ActorId| !doubters.contains(other) && self.stragglers.max_envs(other) > 0;
+            let (roster, stragglers) = (&self.roster, &self.stragglers);
+            let may_try = |other: &ActorId| {
+                !doubters.contains(other) && max_envs(roster, stragglers, other) > 0
+            };
             let others = counts.iter_mut().filter(|(other, _)| may_try(other));
             if let Some((other, n_held)) = others.min_by_key(|(_, n_held)| **n_held) {
                 *n_held += 1;
@@ -764,11 +776,10 @@ impl Coordinator {
             self.tell(RunEvent::TooManyActors { n_actors, n_envs });
         }
         self.credit_due.insert(key.0.clone());
-        // A newcomer's share of what others step waits for the end of the update; only what nobody steps is given out
-        // at once.
-        self.rebalance_due = true;
-        self.begin_if_enough();
-        self.orphans_due = true;
+        if let Some(membership) = self.roster.membership(key) {
+            let (to, control) = (key.clone(), Control::Wait);
+            self.effects.push(Effect::Control { to, membership, control });
+        }
     }
 
     fn lose(&mut self, actor: &ActorId) {
@@ -783,21 +794,25 @@ impl Coordinator {
 
     /// Gives environments that wait for an actor to those that are here, if there may be some.
     fn take_orphans(&mut self) {
-        let is_due = std::mem::take(&mut self.orphans_due);
+        // Who comes is asked first whether it is there; its answer makes this due again.
+        let is_due = std::mem::take(&mut self.orphans_due) && self.roster.n_answering() > 0;
         if is_due && self.stage == RunStage::Running && self.assigner.has_orphans() {
             self.rebalance();
         }
     }
 
     fn begin_if_enough(&mut self) {
-        if self.stage == RunStage::Gathering && self.n_actors() >= self.settings.actors_min {
+        if self.stage == RunStage::Gathering
+            && self.roster.n_answering() >= self.settings.actors_min
+        {
             self.stage = RunStage::Running;
         }
     }
 
     fn rebalance(&mut self) {
         self.rebalance_due = false;
-        let limit = |actor: &ActorId| self.stragglers.max_envs(actor);
+        let (roster, stragglers) = (&self.roster, &self.stragglers);
+        let limit = |actor: &ActorId| max_envs(roster, stragglers, actor);
         let changes = self.assigner.rebalance(self.roster.members(), limit);
         self.assign_all(changes);
     }
@@ -868,6 +883,11 @@ impl Coordinator {
         let (learner, limit) = (self.settings.learner, sender.limit);
         Some(Credit { incarnation, learner, acknowledged, limit })
     }
+}
+
+/// Returns how many environments a member may have.
+fn max_envs(roster: &Roster, stragglers: &Stragglers, actor: &ActorId) -> usize {
+    if roster.has_answered(actor) { stragglers.max_envs(actor) } else { 0 }
 }
 
 #[cfg(test)]

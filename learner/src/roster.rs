@@ -41,6 +41,8 @@ pub(crate) struct SenderState {
     pub(crate) n_astray: u32,
     /// It has said hello since it was last lost.
     has_greeted: bool,
+    /// It has answered an order of its newest membership: somebody is behind its name.
+    has_answered: bool,
     /// Its newest membership.
     membership: MembershipNumber,
     /// What it computes with.
@@ -164,6 +166,7 @@ impl Roster {
         (is_welcome && is_free).then(|| {
             self.n_memberships += 1;
             (sender.membership, sender.n_quiet_ticks) = (MembershipNumber(self.n_memberships), 0);
+            sender.has_answered = false;
             self.members.insert(key.0.clone(), key.1);
             sender.build.clone()
         })
@@ -196,6 +199,23 @@ impl Roster {
     /// Returns whether this start of an actor is a member.
     pub(crate) fn is_member(&self, key: &SenderKey) -> bool {
         self.members.get(&key.0) == Some(&key.1)
+    }
+
+    /// Notes that a member has answered an order. Returns whether it is its first answer.
+    pub(crate) fn answer(&mut self, key: &SenderKey) -> bool {
+        let sender = self.senders.get_mut(key);
+        sender.is_some_and(|sender| !std::mem::replace(&mut sender.has_answered, true))
+    }
+
+    /// Returns whether a member of this name has answered an order.
+    pub(crate) fn has_answered(&self, actor: &ActorId) -> bool {
+        let key = self.members.get(actor).map(|&start| (actor.clone(), start));
+        key.and_then(|key| self.senders.get(&key)).is_some_and(|sender| sender.has_answered)
+    }
+
+    /// Counts the members that have.
+    pub(crate) fn n_answering(&self) -> usize {
+        self.member_senders().filter(|(_, sender)| sender.has_answered).count()
     }
 
     /// Notes that a tick has passed.

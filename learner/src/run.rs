@@ -33,7 +33,7 @@ use tracing::debug;
 
 use crate::bulletin::{Bulletin, RosterHead, roster};
 use crate::checkpoint::{CheckpointError, CheckpointStore};
-use crate::control_outbox::{ControlFailure, ControlOutbox};
+use crate::control_outbox::{ControlOutbox, ControlOutcome};
 use crate::coordinator::{Coordinator, CoordinatorSettings, Effect, HelloRefusal, TICK};
 use crate::ending;
 use crate::evaluation_thread::{Evaluated, Evaluations, take_in};
@@ -66,7 +66,7 @@ enum LearnerWake {
     /// The evaluating thread is done with a policy.
     Evaluated(Evaluated),
     /// A control message failed.
-    Control(ControlFailure),
+    Control(ControlOutcome),
     /// Time has passed.
     Tick,
     /// The run is asked to end.
@@ -253,7 +253,7 @@ impl RunLoop {
             Some(evaluated) = next_evaluated(self.evaluations.as_mut()) => {
                 LearnerWake::Evaluated(evaluated)
             }
-            Some(failure) = self.outbox.failures.recv() => LearnerWake::Control(failure),
+            Some(outcome) = self.outbox.outcomes.recv() => LearnerWake::Control(outcome),
             wake = tick_or_event(ticks, events) => wake?,
         })
     }
@@ -277,10 +277,10 @@ impl RunLoop {
             LearnerWake::Evaluated(evaluated) => {
                 take_in(evaluated, &mut self.record.held_out, self.sink.as_mut());
             }
-            LearnerWake::Control(failure) => {
-                self.control_failed(failure);
-                while let Ok(failure) = self.outbox.failures.try_recv() {
-                    self.control_failed(failure);
+            LearnerWake::Control(outcome) => {
+                self.controlled(outcome);
+                while let Ok(outcome) = self.outbox.outcomes.try_recv() {
+                    self.controlled(outcome);
                 }
             }
             LearnerWake::Tick => self.tick()?,
@@ -289,13 +289,16 @@ impl RunLoop {
         Ok(())
     }
 
-    fn control_failed(&mut self, failure: ControlFailure) {
-        match failure {
-            ControlFailure::Silent(key, membership) => self.coordinator.silent(&key, membership),
-            ControlFailure::CannotRestore(key, epoch, envs) => {
+    fn controlled(&mut self, outcome: ControlOutcome) {
+        match outcome {
+            ControlOutcome::Answered(key, membership) => {
+                self.coordinator.answered(&key, membership);
+            }
+            ControlOutcome::Silent(key, membership) => self.coordinator.silent(&key, membership),
+            ControlOutcome::CannotRestore(key, epoch, envs) => {
                 self.coordinator.cannot_restore(&key, epoch, &envs);
             }
-            ControlFailure::Astray(key, membership, told) => {
+            ControlOutcome::Astray(key, membership, told) => {
                 self.coordinator.astray(&key, membership, told);
             }
         }

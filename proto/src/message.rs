@@ -4,6 +4,8 @@
 //! actor                                   learner
 //!   |-- Hello (query ctl/hello) ------------->|   who I am
 //!   |<------------------ HelloReply ----------|   the task, the policy's shape, the seed; or why not
+//!   |<--- Control::Wait (query ctl/actor) ----|   whoever answers it gets environments
+//!   |-- ControlReply ------------------------>|
 //!   |<--- Control::Assign (query ctl/actor) --|   these environments, from these snapshots, under this epoch
 //!   |-- ControlReply ------------------------>|   followed, or: these environments cannot be restored here
 //!   |<------- Announcement (weights) ---------|   version v is there and has this digest; the actor pulls it
@@ -152,6 +154,8 @@ pub enum Control {
         /// The actor did something wrong and should exit with an error.
         cut_off: bool,
     },
+    /// Wait for environments. Only who answers it gets some: behind a hello and a presence there may be nobody.
+    Wait,
 }
 
 impl Control {
@@ -163,7 +167,7 @@ impl Control {
     pub fn check(&self) -> Result<(), Refusal> {
         match self {
             Self::Assign(assignment) => assignment.check(),
-            Self::Stop { .. } => Ok(()),
+            Self::Stop { .. } | Self::Wait => Ok(()),
         }
     }
 }

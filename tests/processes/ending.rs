@@ -4,8 +4,8 @@ use crate::support::{PATIENCE, Place, SOON, fake_actor, signal};
 use leadtime_link::{
     ActorEvent, Error, Events, LearnerEvent, LearnerLink, ListenSettings, RUN_IS_ENDING, StartKey,
 };
-use leadtime_proto::RunName;
-use leadtime_proto::message::{Control, ControlReply, HelloReply};
+use leadtime_proto::message::{Assignment, Control, ControlReply, HelloReply};
+use leadtime_proto::{Epoch, RunName};
 
 /// Waits until the learner sends an actor away; returns the order, which is not answered as long as that is kept.
 async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
@@ -15,9 +15,13 @@ async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
                 ActorEvent::Control { control: Control::Stop { cut_off: false, .. }, .. } => {
                     return event;
                 }
-                // One order at a time, and the first gives it environments.
-                ActorEvent::Control { control: Control::Assign(given), reply, .. } => {
-                    reply.reply(&ControlReply::Followed { epoch: given.epoch }).unwrap();
+                // One order at a time: to wait, and then the environments.
+                ActorEvent::Control { control, reply, .. } => {
+                    let Control::Assign(Assignment { epoch, .. }) = control else {
+                        reply.reply(&ControlReply::Followed { epoch: Epoch(0) }).unwrap();
+                        continue;
+                    };
+                    reply.reply(&ControlReply::Followed { epoch }).unwrap();
                 }
                 _ => {}
             }

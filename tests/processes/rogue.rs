@@ -76,6 +76,7 @@ impl Rogue {
                     self.env = assignment.envs.first().cloned().unwrap_or(self.env.clone());
                 }
                 Control::Stop { reason, cut_off } => away = Some((reason, cut_off)),
+                Control::Wait => {}
             }
             // The answer may find nobody any more.
             drop(reply.reply(&ControlReply::Followed { epoch: self.epoch }));

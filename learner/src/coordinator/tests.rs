@@ -66,6 +66,15 @@ fn hello(name: &str, published: u64, first_unacknowledged: u64) -> Hello {
 fn join(coordinator: &mut Coordinator, name: &str) {
     coordinator.hello(&hello(name, 0, 1)).unwrap();
     coordinator.joined(actor(name), Incarnation(1));
+    answer(coordinator, name);
+}
+
+/// Answers the order to wait.
+fn answer(coordinator: &mut Coordinator, name: &str) {
+    let key = (actor(name), Incarnation(1));
+    if let Some(membership) = coordinator.roster.membership(&key) {
+        coordinator.answered(&key, membership);
+    }
 }
 
 fn rollout(env_id: u32, iteration: u64, version: u64) -> Rollout {
@@ -159,6 +168,31 @@ fn one_actor_feeds_one_update() {
     c.trained(PolicyVersion(1));
     assert_eq!(credits(&mut c), [(2, 2 + u64::from(WINDOW))]);
     assert_eq!(close_balanced(&mut c).trained, 2);
+}
+
+#[test]
+fn who_answers_no_order_gets_no_environment() {
+    let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
+    c.take_effects();
+    c.hello(&hello("ghost", 0, 1)).unwrap();
+    c.joined(actor("ghost"), Incarnation(1));
+    let waits = told(&mut c, |effect| match effect {
+        Effect::Control { to, control: Control::Wait, .. } => Some(to.0),
+        _ => None,
+    });
+    assert_eq!(waits, [actor("ghost")]);
+    let update = |c: &mut Coordinator, number: u64| {
+        for env in 0..2 {
+            let sequence = 2 * number + u64::from(env) + 1;
+            send(c, "a", sequence, 99, &rollout(env, number, number));
+        }
+        assert_eq!(c.next_batch().unwrap().len(), 2);
+        c.trained(PolicyVersion(number + 1));
+        assignments(c).into_iter().map(|(to, _)| to).collect::<Vec<_>>()
+    };
+    assert!(update(&mut c, 0).is_empty());
+    answer(&mut c, "ghost");
+    assert!(update(&mut c, 1).contains(&actor("ghost")));
 }
 
 #[test]
