@@ -7,6 +7,7 @@
 use std::env;
 use std::ffi::OsString;
 use std::fmt::Display;
+use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::Path;
 use std::sync::OnceLock;
@@ -49,8 +50,43 @@ fn shown(text: &str) -> String {
 }
 
 /// Writes a file, whole or not at all.
+///
+/// What is no file, such as `/dev/stdout` or a pipe, takes the content; it is not replaced. Of a link, what it leads to is
+/// replaced.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    write_atomically(path, bytes).with_context(|| format!("writing {}", path.display()))
+    let written = if is_stream(path) {
+        pour(path, bytes)
+    } else {
+        let meant = if path.is_symlink() { path.canonicalize().ok() } else { None };
+        write_atomically(meant.as_deref().unwrap_or(path), bytes)
+    };
+    written.with_context(|| format!("writing {}", path.display()))
+}
+
+/// Makes sure that [`file`] can write there, and leaves nothing behind: long work must not end with a refusal.
+pub(crate) fn check_file(path: &Path) -> anyhow::Result<()> {
+    if is_stream(path) {
+        return Ok(());
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let tried = tempfile::tempfile_in(folder.unwrap_or(Path::new(".")));
+    tried.map(|_file| ()).with_context(|| format!("writing {}", path.display()))
+}
+
+/// Tells whether a path leads to what takes bytes and stays: a pipe, a device, what a process has open.
+fn is_stream(path: &Path) -> bool {
+    const OPEN: [&str; 4] = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"];
+    let is_other = |found: fs::Metadata| !found.is_file() && !found.is_dir();
+    OPEN.iter().any(|open| path.starts_with(open)) || fs::metadata(path).is_ok_and(is_other)
+}
+
+/// Adds bytes to a stream; one whose reader is gone has what it wanted.
+fn pour(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut stream = File::options().append(true).open(path)?;
+    match stream.write_all(bytes) {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written,
+    }
 }
 
 /// Keeps the outcome of a write to standard output for [`finish`].
@@ -129,7 +165,36 @@ pub(crate) fn error(error: &impl Display) {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::{FileTypeExt as _, symlink};
+    use std::process::{Command, Stdio};
+
     use super::*;
+
+    #[test]
+    fn a_pipe_takes_what_is_written_and_a_link_stays_one() {
+        let place = tempfile::tempdir().unwrap();
+        let pipe = place.path().join("pipe");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let reader = Command::new("cat").arg(&pipe).stdout(Stdio::piped()).spawn().unwrap();
+        file(&pipe, b"words").unwrap();
+        assert!(fs::metadata(&pipe).unwrap().file_type().is_fifo(), "it was replaced");
+        assert_eq!(reader.wait_with_output().unwrap().stdout, b"words");
+        let (real, link) = (place.path().join("real.txt"), place.path().join("link.txt"));
+        fs::write(&real, "old").unwrap();
+        symlink(&real, &link).unwrap();
+        file(&link, b"new").unwrap();
+        assert!(link.is_symlink());
+        assert_eq!(fs::read_to_string(&real).unwrap(), "new");
+    }
+
+    #[test]
+    fn whether_a_file_can_be_written_is_known_before_and_nothing_is_left() {
+        let place = tempfile::tempdir().unwrap();
+        check_file(&place.path().join("new.txt")).unwrap();
+        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 0);
+        let told = check_file(&place.path().join("none/new.txt")).unwrap_err().to_string();
+        assert!(told.starts_with("writing ") && told.ends_with("none/new.txt"), "{told}");
+    }
 
     #[test]
     fn what_a_path_holds_is_no_order_to_the_terminal() {

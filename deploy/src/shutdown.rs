@@ -37,6 +37,8 @@ const _: () = assert!(
 
 /// How much longer a process may take that tries to save what it has learned.
 const UNSAVED_TIME: Duration = Duration::from_mins(1);
+/// Linux's SIGXFSZ: a file would become larger than the system's limit allows.
+const FILE_TOO_LARGE: i32 = 25;
 /// Whether the process holds what it could not save.
 static IS_UNSAVED: AtomicBool = AtomicBool::new(false);
 
@@ -95,6 +97,8 @@ pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
     let mut terminate = signal(SignalKind::terminate())?;
     let ends_with_terminal = !ignores_hangup() && !log_file::reopen_on_hangup()?;
     let mut hangup = ends_with_terminal.then(|| signal(SignalKind::hangup())).transpose()?;
+    // Who listens is not ended by it: a limit on files (`ulimit -f`) is an error of the write, as a full disk is. The handler stays.
+    drop(signal(SignalKind::from_raw(FILE_TOO_LARGE))?);
     let cancel = token.clone();
     tokio::spawn(async move {
         tokio::select! {

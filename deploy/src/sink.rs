@@ -116,6 +116,9 @@ impl ProgressSink for RunSink {
         if let RunEvent::Resumed { n_updates, .. } = event {
             let resumed = self.recorder.resumed(*n_updates);
             self.warn(resumed);
+            if self.stop.as_ref().is_some_and(|(asked, _)| n_updates >= asked) {
+                info!("--stop-after is reached already: nothing more is trained");
+            }
             self.stop_after(*n_updates);
         }
         if let RunEvent::EvaluationFailed { .. } = event

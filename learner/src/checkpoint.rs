@@ -12,12 +12,16 @@
 //! # Invariants
 //!
 //! * The newest whole files stay, as many as [`Retention`] says. Damaged ones do not count, and go when the run has passed them.
+//! * A file that somebody has given another name, a copy for example, is older than all others: it is read if no other one is
+//!   whole, and never removed.
 //! * A file of a format that this release does not read is not damaged: it is refused, and nothing is removed.
-//! * The directory is locked as long as a [`CheckpointStore`] lives, so two learners cannot share a run.
+//! * The directory is locked as long as a [`CheckpointStore`] lives, so two learners cannot share a run. One that was removed or
+//!   moved away is made and locked again before anything is written, unless another learner was faster.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use leadtime_ppo::checkpoints::{MAX_PAYLOAD_BYTES, Retention};
@@ -35,6 +39,7 @@ pub const FORMAT_VERSION: u32 = 3;
 const MAGIC: [u8; 4] = *b"LTCK";
 const FRONT_BYTES: usize = 48;
 const EXTENSION: &str = "checkpoint";
+const LOCK: &str = "lock";
 
 /// Why checkpoints cannot be written or read.
 #[derive(Debug, Error)]
@@ -105,7 +110,7 @@ pub struct CheckpointStore {
     retention: Retention,
     /// Files that [`Self::newest`] found damaged.
     damaged: BTreeSet<PathBuf>,
-    _lock: File,
+    lock: File,
 }
 
 impl CheckpointStore {
@@ -116,23 +121,8 @@ impl CheckpointStore {
     /// [`CheckpointError::Write`] if it cannot be made or written, [`CheckpointError::InUse`] if another learner
     /// has it.
     pub fn open(directory: &Path, retention: Retention) -> Result<Self, CheckpointError> {
-        let failed = |source| CheckpointError::Write { path: directory.to_owned(), source };
-        fs::create_dir_all(directory).map_err(failed)?;
-        let lock = OpenOptions::new()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(directory.join("lock"))
-            .map_err(failed)?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(CheckpointError::InUse(directory.to_owned()));
-            }
-            Err(TryLockError::Error(source)) => return Err(failed(source)),
-        }
-        let directory = directory.to_owned();
-        Ok(Self { directory, retention, damaged: BTreeSet::new(), _lock: lock })
+        let (lock, directory) = (lock(directory)?, directory.to_owned());
+        Ok(Self { directory, retention, damaged: BTreeSet::new(), lock })
     }
 
     /// Writes the state after `n_updates` updates and removes what is no longer needed.
@@ -141,6 +131,7 @@ impl CheckpointStore {
     ///
     /// [`CheckpointError::Write`] if the directory or the file cannot be written; older checkpoints are then untouched.
     /// [`CheckpointError::Encode`] if the state cannot be encoded, or is larger than a checkpoint may be.
+    /// [`CheckpointError::InUse`] if the directory was removed meanwhile, and another learner has begun there.
     pub fn write<T: Serialize>(
         &mut self,
         n_updates: u64,
@@ -159,8 +150,10 @@ impl CheckpointStore {
         bytes.extend_from_slice(&payload);
         let path = self.directory.join(format!("{n_updates:012}.{EXTENSION}"));
         // The directory may have been removed meanwhile; the run in memory is worth more than the reason.
-        fs::create_dir_all(&self.directory)
-            .and_then(|()| write_atomically(&path, &bytes))
+        if !is_same_file(&self.lock, &self.directory.join(LOCK)) {
+            self.lock = lock(&self.directory)?;
+        }
+        write_atomically(&path, &bytes)
             .map_err(|source| CheckpointError::Write { path: path.clone(), source })?;
         self.damaged.remove(&path);
         self.clean_up(&path);
@@ -172,8 +165,9 @@ impl CheckpointStore {
     /// A file that cannot be removed, or is gone already, is no reason to end a run whose state has just been saved.
     fn clean_up(&self, newest: &Path) {
         let Ok(files) = self.files() else { return };
+        let files = files.into_iter().filter(|path| n_updates(path).is_some());
         let (damaged, whole): (Vec<_>, Vec<_>) =
-            files.into_iter().partition(|path| self.damaged.contains(path));
+            files.partition(|path| self.damaged.contains(path));
         let n_old = whole.len().saturating_sub(self.retention.newest);
         let old = whole.into_iter().take(n_old);
         let is_for_good = |n_updates| self.retention.is_for_good(n_updates);
@@ -226,9 +220,13 @@ impl CheckpointStore {
         }
     }
 
-    /// Lists the checkpoints, oldest first.
+    /// Lists the checkpoints, oldest first; those with another name than ours count as the oldest.
     fn files(&self) -> Result<Vec<PathBuf>, CheckpointError> {
-        self.entries(|name| Path::new(name).extension().is_some_and(|end| end == EXTENSION))
+        let is_checkpoint =
+            |name: &str| Path::new(name).extension().is_some_and(|end| end == EXTENSION);
+        let mut files = self.entries(is_checkpoint)?;
+        files.sort_by_key(|path| n_updates(path));
+        Ok(files)
     }
 
     fn entries(&self, is_wanted: fn(&str) -> bool) -> Result<Vec<PathBuf>, CheckpointError> {
@@ -242,14 +240,50 @@ impl CheckpointStore {
     }
 }
 
-/// Returns after how many updates a checkpoint was written, as its name says.
+/// Makes a directory for checkpoints, if it is not there, and takes its lock.
+fn lock(directory: &Path) -> Result<File, CheckpointError> {
+    let failed = |path: &Path, source| CheckpointError::Write { path: path.to_owned(), source };
+    fs::create_dir_all(directory).map_err(|source| failed(directory, source))?;
+    let path = directory.join(LOCK);
+    // Opening something else than a file, such as a pipe, could wait for ever.
+    if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
+        let source = io::Error::new(io::ErrorKind::InvalidInput, "it is not a file");
+        return Err(failed(&path, source));
+    }
+    let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
+    let lock = lock.map_err(|source| failed(&path, source))?;
+    match lock.try_lock() {
+        Ok(()) => Ok(lock),
+        Err(TryLockError::WouldBlock) => Err(CheckpointError::InUse(directory.to_owned())),
+        Err(TryLockError::Error(source)) => Err(failed(&path, source)),
+    }
+}
+
+/// Tells whether a path still leads to an open file.
+fn is_same_file(open: &File, path: &Path) -> bool {
+    let id = |found: fs::Metadata| (found.dev(), found.ino());
+    let (open, there) = (open.metadata().map(id), fs::metadata(path).map(id));
+    matches!((open, there), (Ok(open), Ok(there)) if open == there)
+}
+
+/// Returns after how many updates a checkpoint was written, as its name says; `None` if it has another name.
 fn n_updates(path: &Path) -> Option<u64> {
     path.file_stem()?.to_str()?.parse().ok()
 }
 
 /// Reads a file and checks that it is undamaged, whatever its format; otherwise says what is wrong with it.
 fn read(path: &Path) -> Result<(u32, Vec<u8>), String> {
-    let bytes = fs::read(path).map_err(|_unshown| "it cannot be read")?;
+    let unreadable = |_unshown: io::Error| "it cannot be read".to_owned();
+    let found = fs::metadata(path).map_err(unreadable)?;
+    // Opening something else, such as a pipe, could wait for ever.
+    if !found.is_file() {
+        return Err("it is not a file".to_owned());
+    }
+    let most = (FRONT_BYTES + MAX_PAYLOAD_BYTES) as u64;
+    if found.len() > most {
+        return Err(format!("it has {} bytes; a checkpoint has at most {most}", found.len()));
+    }
+    let bytes = fs::read(path).map_err(unreadable)?;
     let n_found = bytes.len();
     let torn = |n_stated| format!("it is torn: {n_found} of {n_stated} bytes are there");
     let (front, payload) =
@@ -378,6 +412,59 @@ mod tests {
         fs::remove_dir_all(&store.directory).unwrap();
         write(&mut store, [6]);
         assert_eq!(newest(&mut store).state, [6]);
+    }
+
+    #[test]
+    fn a_copy_under_another_name_is_older_than_all_others_and_stays() {
+        let (_directory, mut store) = store();
+        write(&mut store, [1]);
+        let copy = store.directory.join("so-far-good.checkpoint");
+        fs::copy(path(&store, 1), &copy).unwrap();
+        write(&mut store, 2..7);
+        assert_eq!(newest(&mut store).state, [6], "what was learned since is not lost");
+        let mut kept = vec![copy.clone()];
+        kept.extend([4, 5, 6].map(|n| path(&store, n)));
+        assert_eq!(store.files().unwrap(), kept);
+        for n_updates in [4, 5, 6] {
+            fs::write(path(&store, n_updates), "torn").unwrap();
+        }
+        let loaded = newest(&mut store);
+        assert_eq!((loaded.state, loaded.path), (vec![1], copy));
+    }
+
+    #[test]
+    fn nobody_waits_for_a_pipe_and_what_is_no_checkpoint_gives_way_to_the_one_before() {
+        let pipe = |path: &Path| {
+            assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success());
+        };
+        let (_directory, mut store) = store();
+        write(&mut store, [1]);
+        pipe(&path(&store, 2));
+        fs::create_dir(path(&store, 3)).unwrap();
+        let large = File::create(path(&store, 4)).unwrap();
+        large.set_len((FRONT_BYTES + MAX_PAYLOAD_BYTES) as u64 + 1).unwrap();
+        let loaded = newest(&mut store);
+        assert_eq!((loaded.state, loaded.damaged.len()), (vec![1], 3));
+        assert!(loaded.damaged[0].1.contains("a checkpoint has at most"), "{:?}", loaded.damaged);
+        assert_eq!(loaded.damaged[1].1, "it is not a file");
+        let other = tempfile::tempdir().unwrap();
+        pipe(&other.path().join(LOCK));
+        assert!(matches!(open(other.path()), Err(CheckpointError::Write { .. })));
+    }
+
+    #[test]
+    fn a_directory_that_was_removed_is_locked_again_and_another_learners_is_left_alone() {
+        let (_directory, mut store) = store();
+        write(&mut store, [1]);
+        fs::remove_dir_all(&store.directory).unwrap();
+        write(&mut store, [2]);
+        assert!(matches!(open(&store.directory), Err(CheckpointError::InUse(_))));
+        fs::rename(&store.directory, store.directory.with_extension("away")).unwrap();
+        let mut other = open(&store.directory).unwrap();
+        write(&mut other, [7]);
+        let refused = store.write(3, &vec![3_u64]);
+        assert!(matches!(refused, Err(CheckpointError::InUse(_))));
+        assert_eq!(other.files().unwrap(), [path(&other, 7)]);
     }
 
     #[test]

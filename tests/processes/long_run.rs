@@ -65,7 +65,9 @@ fn a_run_stops_after_a_time_and_can_be_resumed() {
     };
     learner("--stop-after 200ms").with_code(0).saying(&["the time of --stop-after is over"]);
     assert_eq!(record(&place.run("r"))["result"], Value::Null);
-    place.finish(&["up -c cartpole --name r --actors 1 --stop-after 1"]).with_code(0);
+    let up = || place.finish(&["up -c cartpole --name r --actors 1 --stop-after 1"]).with_code(0);
+    up();
+    up().saying(&["--stop-after is reached already"]);
 }
 
 #[test]

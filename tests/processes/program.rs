@@ -414,6 +414,7 @@ fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
     // What would fail after the search is refused before it, and no script is lost.
     place.finish(&["script-search lander"]).with_code(2).saying(&["exists already", "-o"]);
     place.finish(&["script-search lander -o no/where.toml"]).with_code(2).saying(&["no folder no"]);
+    place.finish(&["script-search lander -o new/"]).with_code(2).saying(&["new/ is a folder"]);
     let same = ["script-search lander --steps 2000 --seed 7 --eval-seed 7 -o other.toml"];
     place.finish(&same).with_code(2).saying(&["episodes that chose it", "--eval-seed"]);
     let policy = repository("deploy/policies/piloting.safetensors");

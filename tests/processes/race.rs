@@ -7,6 +7,7 @@ use crate::support::{
     wait_until,
 };
 use serde_json::Value;
+use std::fs;
 
 /// Three racers of 20 updates, of whom one goes on after five.
 const RACE: &str = "race -c cartpole --racers 3 --name q --actors 1 --episodes 10 --set learner.n_steps=64 \
@@ -47,6 +48,18 @@ fn a_race_stops_the_others_and_its_winner_has_learned_what_it_would_have_learned
     let on = format!("up -c runs/{stopped}/config.toml --name {stopped} --actors 1");
     place.finish(&[&on]).with_code(0);
     assert_eq!(result(&place.run(stopped))["updates"], 20);
+}
+
+#[test]
+fn a_racer_that_lost_its_best_policy_gets_it_back_from_its_checkpoint() {
+    let place = Place::new();
+    let raced = race(&place, "");
+    let winner = place.run(raced["winner"].as_str().unwrap());
+    for file in ["best.safetensors", "race.json"] {
+        fs::remove_file(winner.join(file)).unwrap();
+    }
+    assert_eq!(race(&place, ""), raced);
+    assert!(winner.join("best.safetensors").is_file());
 }
 
 #[test]

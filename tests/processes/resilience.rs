@@ -145,6 +145,27 @@ fn a_learner_killed_before_its_first_checkpoint_begins_anew_with_every_update_on
 }
 
 #[test]
+fn a_run_whose_directory_is_moved_away_is_taken_up_from_the_new_one_and_has_one_learner() {
+    let place = Place::new();
+    let (first, helper) = (learner(&place, LONG), actor(&place, "a"));
+    let run = place.run("r");
+    wait_for_updates(&run, 6);
+    fs::rename(&run, place.run("away")).unwrap();
+    wait_for_words(&first, "was moved or removed");
+    wait_for_updates(&run, 9);
+    let second = learner(&place, LONG).finish(PATIENCE);
+    second.with_code(2).saying(&["in use by another learner"]);
+    signal("TERM", first.id());
+    first.finish(PATIENCE).with_code(130);
+    helper.finish(PATIENCE);
+    let more = format!("{LONG} --stop-after {}", updates(&run) + 4);
+    let (again, helper) = (learner(&place, &more), actor(&place, "b"));
+    again.finish(PATIENCE).with_code(0).saying(&["resumed from update"]);
+    helper.finish(PATIENCE);
+    assert!(place.run("away").join("config.toml").is_file(), "what was moved stays as it was");
+}
+
+#[test]
 fn a_run_that_another_build_resumes_is_not_called_reproducible() {
     let place = Place::new();
     let (first, helper) = (learner(&place, "--stop-after 8"), actor(&place, "a"));

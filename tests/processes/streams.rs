@@ -58,6 +58,23 @@ fn a_log_filter_that_does_not_parse_is_refused() {
 }
 
 #[test]
+fn a_limit_on_the_size_of_files_is_like_a_full_disk_and_kills_nobody() {
+    let place = Place::new();
+    let endpoint = place.endpoint("learner");
+    let mut shell = Command::new("sh");
+    let script = "ulimit -f 60; exec \"$0\" \"$@\"";
+    shell.current_dir(place.path()).args(["-c", script, env!("CARGO_BIN_EXE_leadtime")]);
+    let long = "learner --name r -c cartpole --set learner.n_steps=32 --set learner.total_steps=1000000000";
+    shell.args(long.split(' ')).args(["--set", "run.checkpoint_every=2", "--listen", &endpoint]);
+    let mut learner = place.start_with(shell);
+    let _helper = place.start(&["actor --connect", &endpoint]);
+    wait_for_words(&learner, "training continues");
+    let n_updates = updates(&place.run("r"));
+    assert!(n_updates > 0 && learner.is_running(), "{}", learner.stderr());
+    learner.kill();
+}
+
+#[test]
 fn a_limit_that_is_too_small_ends_the_process_with_a_sentence() {
     let place = Place::new();
     let endpoint = place.endpoint("learner");

@@ -13,7 +13,7 @@
 //! ```
 //!
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
-//! configuration). A named finished run that has lost its newest policy is opened as well, so that its newest checkpoint makes the
+//! configuration). A named finished run that has lost a policy is opened as well, so that its newest checkpoint makes the
 //! policy files again. A changed configuration is refused with the difference; keys that cannot change a run's bits do
 //! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!

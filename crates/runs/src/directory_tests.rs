@@ -35,7 +35,9 @@ fn train(run: &RunDir, n_updates: u64, checkpoint: bool) {
     Journal::open(&run.path).unwrap().append(&json!({"update": n_updates})).unwrap();
     if checkpoint {
         fs::write(run.checkpoints().join(format!("{n_updates:012}.checkpoint")), "state").unwrap();
-        fs::write(run.path.join(LAST_POLICY), "weights").unwrap();
+        for file in [LAST_POLICY, BEST_POLICY] {
+            fs::write(run.path.join(file), "weights").unwrap();
+        }
     }
 }
 
@@ -262,6 +264,19 @@ fn a_damaged_file_is_named_with_what_helps() {
         assert!(!text.contains("is not a run directory"), "{text}");
         fs::write(path.join(file), whole).unwrap();
     }
+    let whole = fs::read(path.join("config.toml")).unwrap();
+    let faults = [(b"\n\n", "config.toml is empty"), (b"\xff\xfe", "it is no text in UTF-8")];
+    for (bytes, fault) in faults {
+        fs::write(path.join("config.toml"), bytes).unwrap();
+        let text = says().to_string();
+        assert!(text.contains(fault) && text.ends_with(helps), "{text}");
+    }
+    fs::write(path.join("config.toml"), whole).unwrap();
+    fs::remove_file(path.join("lock")).unwrap();
+    fs::create_dir(path.join("lock")).unwrap();
+    let text = with_causes(&says());
+    assert!(text.ends_with("r/lock cannot be used: lock is not a file"), "{text}");
+    fs::remove_dir(path.join("lock")).unwrap();
     fs::remove_file(path.join("metrics.jsonl")).unwrap();
     fs::create_dir(path.join("metrics.jsonl")).unwrap();
     let text = with_causes(&says());
@@ -275,12 +290,13 @@ fn a_finished_run_that_lost_its_policies_is_opened_again_to_write_them() {
     open(runs.path(), Some("r"), &[]).unwrap().0.finish(result()).unwrap();
     let path = runs.path().join("r");
     assert!(is_finished(&path));
-    fs::remove_file(path.join(LAST_POLICY)).unwrap();
-    assert!(!is_finished(&path));
-    let (mut run, state) = open(runs.path(), Some("r"), &[]).unwrap();
-    assert_eq!(state, RunState::Unfinished);
-    run.finish(result()).unwrap();
-    drop(run);
+    for file in [BEST_POLICY, LAST_POLICY] {
+        fs::remove_file(path.join(file)).unwrap();
+        assert!(!is_finished(&path));
+        let (mut run, state) = open(runs.path(), Some("r"), &[]).unwrap();
+        assert_eq!(state, RunState::Unfinished, "{file}");
+        run.finish(result()).unwrap();
+    }
     fs::remove_file(path.join("checkpoints/000000000020.checkpoint")).unwrap();
     let error = open(runs.path(), Some("r"), &[]).unwrap_err().to_string();
     assert!(error.contains("put the checkpoints back"), "{error}");

@@ -30,5 +30,7 @@ pub(crate) fn did_you_mean_run(runs: &Path, name: &Path) -> String {
     let names = entries.filter(|entry| entry.path().is_dir());
     let names: Vec<String> =
         names.filter_map(|entry| entry.file_name().into_string().ok()).collect();
-    did_you_mean(name.to_str().unwrap_or_default(), names.iter().map(String::as_str))
+    let name = name.to_str().unwrap_or_default();
+    // A directory of that very name is no run, or it would have been found.
+    did_you_mean(name, names.iter().map(String::as_str).filter(|other| *other != name))
 }

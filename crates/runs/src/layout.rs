@@ -12,7 +12,7 @@ use toml::Table;
 
 use crate::directory_error::{RunDirError, with_causes};
 use crate::journal::Journal;
-use crate::policy_file::{self, LAST_POLICY};
+use crate::policy_file::{self, BEST_POLICY, LAST_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD, RecordError};
 use crate::{ResultCause, RunRecord, RunResult, journal, regular};
 
@@ -99,7 +99,7 @@ impl TrainingTraces {
 
     /// Tells whether the run has lost a policy that its last checkpoint still holds, or its only policy.
     pub(crate) fn has_lost_policies(&self, path: &Path) -> bool {
-        !path.join(LAST_POLICY).is_file() && (self.has_checkpoints || !policy_file::is_in(path))
+        has_lost_policies(path, self.has_checkpoints)
     }
 
     /// Refuses a run whose checkpoints are gone: it would begin anew, over what it had trained.
@@ -131,9 +131,15 @@ impl TrainingTraces {
 /// Returns whether the run in a directory has reached its end, and has its policies as far as they can be had.
 pub fn is_finished(path: &Path) -> bool {
     let has_ended = RunRecord::read(path).is_ok_and(|record| record.result.is_some());
-    let is_all_there =
-        || policy_file::is_in(path) && checkpoints(path).is_ok_and(|it| it.is_empty());
-    has_ended && (path.join(LAST_POLICY).is_file() || is_all_there())
+    let has_checkpoints = !checkpoints(path).is_ok_and(|it| it.is_empty());
+    has_ended && !has_lost_policies(path, has_checkpoints)
+}
+
+/// As [`TrainingTraces::has_lost_policies`].
+fn has_lost_policies(path: &Path, has_checkpoints: bool) -> bool {
+    let is_lost = |name: &str| !path.join(name).is_file();
+    let (last, best) = (is_lost(LAST_POLICY), is_lost(BEST_POLICY));
+    if has_checkpoints { last || best } else { last && best }
 }
 
 /// Lists the checkpoints of a run directory; none if it has no folder for them.
@@ -182,10 +188,14 @@ pub(crate) fn compare(
 }
 
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
-    let io = |source| RunDirError::Io { path: path.to_owned(), source };
+    let path = path.join(file);
+    let io = |source| RunDirError::Io { path: path.clone(), source };
+    if path.exists() {
+        regular::check(&path).map_err(io)?;
+    }
     // What its holder has written stays until the lock is ours.
     let mut options = OpenOptions::new();
-    let file = options.read(true).write(true).create(true).truncate(false).open(path.join(file));
+    let file = options.read(true).write(true).create(true).truncate(false).open(&path);
     let file = file.map_err(io)?;
     match file.try_lock() {
         Ok(()) => file.set_len(0).map(|()| file).map_err(io),
@@ -245,11 +255,18 @@ fn damaged(path: &Path, what: &str) -> RunDirError {
 pub fn read_config(path: &Path) -> Result<Table, RunDirError> {
     let file = path.join(CONFIG);
     let io = |source| RunDirError::Io { path: file.clone(), source };
-    let text = regular::read_to_string(&file).map_err(io)?;
-    let shown = file.display();
-    text.parse::<Table>().map_err(|error| {
-        damaged(path, &format!("{shown} is not a configuration: {}", error.message()))
-    })
+    let not_one = |why: &str| damaged(path, &format!("{} {why}", file.display()));
+    let text = match regular::read_to_string(&file) {
+        Err(error) if error.kind() == io::ErrorKind::InvalidData => {
+            return Err(not_one("is not a configuration: it is no text in UTF-8"));
+        }
+        text => text.map_err(io)?,
+    };
+    if text.trim().is_empty() {
+        return Err(not_one("is empty"));
+    }
+    text.parse::<Table>()
+        .map_err(|error| not_one(&format!("is not a configuration: {}", error.message())))
 }
 
 pub(crate) fn write_config(path: &Path, config: &Config) -> io::Result<()> {

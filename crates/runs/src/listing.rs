@@ -11,7 +11,7 @@ use crate::directory_error::with_causes;
 use crate::layout::is_run;
 use crate::race::RacerRecord;
 use crate::record::RecordError;
-use crate::{ForkOrigin, RunRecord, held_out, journal};
+use crate::{ForkOrigin, RunRecord, held_out, journal, prune};
 
 /// The columns of the list, and the main ones, which a terminal has room for.
 const HEAD: &str =
@@ -146,7 +146,8 @@ impl ListedRun {
 
 /// Describes a run directory; `None` if it is not one.
 fn row(path: &Path) -> Option<ListedRun> {
-    is_run(path).then(|| match RunRecord::read(path) {
+    let is_left = path.file_name().and_then(|name| name.to_str()).is_some_and(prune::is_left);
+    (!is_left && is_run(path)).then(|| match RunRecord::read(path) {
         Ok(record) => ListedRun::new(path, record),
         Err(error) => unreadable(path, &error),
     })

@@ -279,6 +279,7 @@ mod tests {
         };
         assert!(says("landr-1").ends_with("; did you mean `lander-1`?"), "{}", says("landr-1"));
         assert!(says("moon").ends_with(" with a policy"), "{}", says("moon"));
+        assert!(says("lander-1").ends_with(" with a policy"), "{}", says("lander-1"));
     }
 
     #[test]

@@ -5,7 +5,9 @@
 //! * Only directories that lie in the directory of runs and hold a record are looked at. A symbolic link is none of them,
 //!   and nothing that a link points to is touched.
 //! * A run that a learner or a supervisor has open stays. Its locks are held while it is removed, so nobody takes it up.
-//! * A run leaves the list in one step: it is renamed before it is removed.
+//! * A run leaves the list in one step: it is renamed before it is removed. What a removal that was killed has left goes with the
+//!   next one.
+//! * Where the best runs stay, so do those that cannot be compared: each of them may be the best.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
@@ -18,7 +20,7 @@ use serde::Serialize;
 
 use crate::layout::{CHECKPOINTS, LOCK, SUPERVISOR_LOCK, read_config};
 use crate::record::RECORD;
-use crate::{ListedRun, RunRecord, clock};
+use crate::{ListedRun, RunRecord, clock, journal};
 
 /// Files whose time says when something last happened in a run.
 const SIGNS: [&str; 3] = [RECORD, "metrics.jsonl", "eval.json"];
@@ -42,6 +44,10 @@ pub enum StaysBecause {
     InUse,
     /// It is the best of its configuration.
     Best,
+    /// Its files cannot be read, so it may be the best of its configuration.
+    Unreadable,
+    /// It was to be removed, and could not be.
+    CannotRemove,
 }
 
 /// An old run.
@@ -68,20 +74,22 @@ pub fn old_runs(runs: &Path, rule: PruneRule) -> io::Result<Vec<OldRun>> {
         let entry = entry?;
         let name = entry.file_name().into_string();
         // `file_type` does not follow links.
-        let is_run = entry.file_type()?.is_dir() && entry.path().join(RECORD).is_file();
-        if let (true, Ok(name)) = (is_run, name) {
+        if let (true, Ok(name)) = (entry.file_type()?.is_dir(), name)
+            && (is_left(&name) || entry.path().join(RECORD).is_file())
+        {
             all.push((name, entry.path()));
         }
     }
     all.sort();
-    let best = if rule.keep_best { best_of_each(&all) } else { Vec::new() };
+    let best = if rule.keep_best { best_of_each(&all) } else { BTreeMap::new() };
     let old = all.into_iter().filter_map(|(name, path)| {
-        let age = age(&path)?;
-        (age >= rule.older).then(|| OldRun {
-            stays: match (is_in_use(&path), best.contains(&name)) {
-                (true, _) => Some(StaysBecause::InUse),
-                (_, true) => Some(StaysBecause::Best),
-                _ => None,
+        let is_left = is_left(&name);
+        let age = age(&path).or(is_left.then_some(Duration::ZERO))?;
+        (is_left || age >= rule.older).then(|| OldRun {
+            stays: if is_in_use(&path) {
+                Some(StaysBecause::InUse)
+            } else {
+                best.get(&name).copied()
             },
             days: age.as_secs() / (24 * 3_600),
             bytes: size(&path),
@@ -102,10 +110,23 @@ pub fn remove(runs: &Path, run: &OldRun) -> io::Result<bool> {
         return Ok(false);
     }
     let Some(_locks) = locks(&path) else { return Ok(false) };
-    let removed = runs.join(format!("{REMOVED}{}", run.name));
-    fs::rename(&path, &removed)?;
+    let removed = if is_left(&run.name) {
+        path
+    } else {
+        let removed = runs.join(format!("{REMOVED}{}", run.name));
+        if removed.symlink_metadata().is_ok_and(|found| found.is_dir()) {
+            fs::remove_dir_all(&removed)?;
+        }
+        fs::rename(&path, &removed)?;
+        removed
+    };
     fs::remove_dir_all(&removed)?;
     Ok(true)
+}
+
+/// Tells whether a directory is what a removal that was killed has left of a run.
+pub(crate) fn is_left(name: &str) -> bool {
+    name.starts_with(REMOVED)
 }
 
 /// Returns how long ago something happened in a run; `None` if that is not known.
@@ -138,11 +159,19 @@ fn locks(path: &Path) -> Option<Vec<File>> {
     Some(held)
 }
 
-/// Names the best run of each configuration: by held-out episodes where it has some, else by its training episodes.
-fn best_of_each(runs: &[(String, PathBuf)]) -> Vec<String> {
+/// Names the best run of each configuration, by held-out episodes where it has some, else by its training episodes; and those
+/// that may be it, because they cannot be read.
+fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
+    let mut stays = BTreeMap::new();
     let mut best: BTreeMap<[u8; 32], (f64, String)> = BTreeMap::new();
-    for (name, path) in runs {
-        let (Ok(config), Ok(record)) = (read_config(path), RunRecord::read(path)) else { continue };
+    for (name, path) in runs.iter().filter(|(name, _)| !is_left(name)) {
+        let is_journal_read = journal::last(path, "update").is_ok();
+        let (Ok(config), Ok(record), true) =
+            (read_config(path), RunRecord::read(path), is_journal_read)
+        else {
+            stays.insert(name.clone(), StaysBecause::Unreadable);
+            continue;
+        };
         let listed = ListedRun::new(path, record);
         let score = listed.held_out.or(listed.success).or(listed.episode_return);
         let score = score.unwrap_or(f64::NEG_INFINITY);
@@ -152,7 +181,8 @@ fn best_of_each(runs: &[(String, PathBuf)]) -> Vec<String> {
             *found = (score, name.clone());
         }
     }
-    best.into_values().map(|(_, name)| name).collect()
+    stays.extend(best.into_values().map(|(_, name)| (name, StaysBecause::Best)));
+    stays
 }
 
 /// Adds up the files of a directory; links count as nothing.
@@ -229,6 +259,25 @@ mod tests {
     }
 
     #[test]
+    fn what_a_killed_removal_has_left_goes_with_the_next_one() {
+        let runs = tempfile::tempdir().unwrap();
+        make(runs.path(), "a");
+        // The record may be gone already.
+        fs::create_dir_all(runs.path().join(".removed-a/checkpoints")).unwrap();
+        fs::create_dir_all(runs.path().join(".removed-b/checkpoints")).unwrap();
+        assert_eq!(ListedRun::all(runs.path()).unwrap().len(), 1);
+        let day = PruneRule { older: Duration::from_hours(24), keep_best: true };
+        let left = [".removed-a", ".removed-b"].map(|name| (name.to_owned(), None::<StaysBecause>));
+        assert_eq!(names(runs.path(), day), left);
+        let run = old_runs(runs.path(), ALL).unwrap().pop().unwrap();
+        assert_eq!(run.name, "a");
+        assert!(remove(runs.path(), &run).unwrap(), "what is left of an older one is in the way");
+        let run = old_runs(runs.path(), day).unwrap().pop().unwrap();
+        assert!(remove(runs.path(), &run).unwrap());
+        assert_eq!(fs::read_dir(runs.path()).unwrap().count(), 0);
+    }
+
+    #[test]
     fn the_best_of_each_configuration_stays() {
         let runs = tempfile::tempdir().unwrap();
         for (name, seed, rate, success) in
@@ -248,6 +297,15 @@ mod tests {
         let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
         let best = Some(StaysBecause::Best);
         let expected = [("a", None), ("b", best), ("c", None), ("d", best)];
+        assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
+        // What cannot be compared may be the best.
+        fs::write(runs.path().join("a/config.toml"), "").unwrap();
+        fs::write(runs.path().join("b").join(RECORD), "").unwrap();
+        fs::remove_file(runs.path().join("c/metrics.jsonl")).unwrap();
+        fs::create_dir(runs.path().join("c/metrics.jsonl")).unwrap();
+        let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
+        let unknown = Some(StaysBecause::Unreadable);
+        let expected = [("a", unknown), ("b", unknown), ("c", unknown), ("d", best)];
         assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
     }
 }

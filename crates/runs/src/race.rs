@@ -292,7 +292,16 @@ impl Race {
         let directory = &self.racers[racer].directory;
         let (copy, newest) = (directory.join(QUARTER_POLICY), directory.join(LAST_POLICY));
         if stage == RaceStage::Final {
-            return Ok(directory.join(BEST_POLICY));
+            // One that is lost comes back from the last checkpoint, before the racer is compared.
+            let best = directory.join(BEST_POLICY);
+            if best.is_file() {
+                return Ok(best);
+            }
+            let helps = "put it back, or take another --name";
+            return Err(RunDirError::Refused(format!(
+                "{} is missing, and no checkpoint holds it; {helps}",
+                best.display()
+            )));
         }
         let is_of_the_quarter =
             |file: &Path| policy_file::n_updates(file).is_ok_and(|n| n == self.quarter());

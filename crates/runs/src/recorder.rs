@@ -11,11 +11,13 @@ use leadtime_policy::Parameters;
 use leadtime_proto::{PolicySpec, hex};
 use serde_json::{Value, json};
 use toml::Table;
+use tracing::warn;
 
 use crate::journal::Journal;
+use crate::layout::CONFIG;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION, WEIGHTS_SHA256};
 use crate::tensorboard::EventFile;
-use crate::{clock, held_out, history, metrics};
+use crate::{RunRecord, clock, held_out, history, metrics};
 
 /// The open files of a run.
 #[derive(Debug)]
@@ -34,6 +36,8 @@ pub struct RunRecorder {
     /// Whether the journal ends with the update before the next one: a predecessor may have been killed further on.
     is_rewound: bool,
     events: Option<EventFile>,
+    /// What is written again if the directory vanishes.
+    record: Option<RunRecord>,
 }
 
 impl RunRecorder {
@@ -54,7 +58,14 @@ impl RunRecorder {
             journal: Journal::open(directory)?,
             is_rewound: false,
             events: None,
+            record: None,
         })
+    }
+
+    /// Writes this record and the configuration again, should the directory be removed or moved away while the run is at work:
+    /// nobody could take the run up without them.
+    pub fn keeping(self, record: RunRecord) -> Self {
+        Self { record: Some(record), ..self }
     }
 
     /// Notes that the run goes on from a checkpoint.
@@ -103,7 +114,8 @@ impl RunRecorder {
     /// # Errors
     ///
     /// If a file cannot be written.
-    pub fn policies(&self, last: &RatedPolicy, best: &RatedPolicy) -> io::Result<()> {
+    pub fn policies(&mut self, last: &RatedPolicy, best: &RatedPolicy) -> io::Result<()> {
+        self.keep_directory()?;
         self.write_policy(LAST_POLICY, last)?;
         self.write_policy(BEST_POLICY, best)
     }
@@ -119,6 +131,23 @@ impl RunRecorder {
         let Some(newest) = history.last() else { return Ok(()) };
         let steps = newest.version.0 * steps_per_update;
         self.events(0)?.scalars(clock::unix_seconds(), steps, &held_out::scalars(newest))
+    }
+
+    /// Makes the directory a run's again, if it is none any more.
+    fn keep_directory(&mut self) -> io::Result<()> {
+        let Some(record) = &self.record else { return Ok(()) };
+        let config = self.directory.join(CONFIG);
+        if config.exists() {
+            return Ok(());
+        }
+        record.write(&self.directory)?;
+        self.journal = Journal::open(&self.directory)?;
+        self.events = None;
+        // As at the beginning of a run, it comes last.
+        write_atomically(&config, self.settings.to_string().as_bytes())?;
+        let directory = self.directory.display();
+        warn!(%directory, "the run's directory was moved or removed: it is made again, and the run can be taken up from it");
+        Ok(())
     }
 
     fn rewind(&mut self, n_updates: u64) -> io::Result<()> {

@@ -120,6 +120,17 @@ impl Script {
         // Plain data of one table can always be written.
         toml::to_string(self).unwrap_or_default()
     }
+
+    /// Writes a file: the rules, and `section`, in which its author says where they are from.
+    pub fn file(&self, section: &str) -> String {
+        let rules = self.toml();
+        // Without rules their key must stand before the section: behind it, the key would be one of the section's.
+        if self.rules.is_empty() {
+            format!("{rules}\n{section}")
+        } else {
+            format!("{section}\n{rules}")
+        }
+    }
 }
 
 impl ScriptRule {
@@ -226,8 +237,13 @@ say = { topic = "descend", k = 2, l = 2 }
     fn a_script_is_read_written_and_put_into_words() {
         let script = Script::read(TEXT).unwrap();
         assert_eq!(Script::read(&script.toml()).unwrap(), script);
-        let searched = format!("[search]\nseed = 1\n{}", script.toml());
-        assert_eq!(Script::read(&searched).unwrap(), script);
+        let silent = Script::default();
+        for script in [&script, &silent] {
+            let searched = script.file("[search]\nseed = 1\n");
+            assert_eq!(Script::read(&searched).unwrap(), *script, "{searched}");
+            let section = searched.parse::<toml::Table>().unwrap();
+            assert_eq!(section["search"].as_table().unwrap().len(), 1, "{searched}");
+        }
         let words = "1. say ascend (k 2, l 3) if y in 0.5 steps < 0.4 and -0.2 <= x < 0.1; then pause 4 steps\n\
                      2. keep silent if 1.1 <= y\n\
                      3. say descend (k 2, l 2)";

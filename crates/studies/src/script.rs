@@ -94,11 +94,10 @@ impl PlannedSearch {
             found => found?,
         };
         let (steps, scripts) = (found.n_steps, found.n_candidates);
-        let text = format!(
-            "[search]\ndomain = \"{}\"\nseed = {seed}\nsteps = {steps}\nscripts = {scripts}\n\n{}",
-            task.domain,
-            found.script.toml()
-        );
+        let text = found.script.file(&format!(
+            "[search]\ndomain = \"{}\"\nseed = {seed}\nsteps = {steps}\nscripts = {scripts}\n",
+            task.domain
+        ));
         let folder = self.path.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(folder).map_err(Error::file("making", folder))?;
         write_atomically(&self.path, text.as_bytes()).map_err(Error::file("writing", &self.path))

@@ -19,6 +19,10 @@ const TAKEN: [&str; 11] = [
     "examples",
     "incremental",
 ];
+/// The words of Rust's own, of which Cargo makes no crate.
+const KEYWORDS: &str = "abstract as async await become box break const continue crate do dyn else enum extern false final fn \
+                        for if impl in let loop macro match mod move mut override priv pub ref return self static struct \
+                        super trait true try type typeof unsafe unsized use virtual where while yield";
 /// What the names of Leadtime's own crates begin with, some of which this one depends on.
 const OWN: [&str; 2] = ["leadtime-", "leadtime_"];
 
@@ -53,7 +57,9 @@ pub(crate) fn template(
     let is_name = starts && name.len() <= MAX_NAME && name.chars().all(fits);
     let allowed = "a lower-case letter, then up to 63 of a-z, 0-9, - and _; no name that Rust or a crate \
                    that it uses has, such as `leadtime-...`";
-    let is_taken = TAKEN.contains(&name) || OWN.iter().any(|own| name.starts_with(own));
+    let is_keyword = KEYWORDS.split_whitespace().any(|word| word == name);
+    let is_own = OWN.iter().any(|own| name.starts_with(own));
+    let is_taken = TAKEN.contains(&name) || is_keyword || is_own;
     require(is_name && !is_taken, "name", name, allowed)?;
     let mut manifest = include_str!("../template/manifest.toml").replace("{name}", name);
     let readme = include_str!("../template/README.md").replace("{name}", name);
@@ -136,7 +142,8 @@ mod tests {
     fn an_impossible_name_is_refused() {
         let long = "a".repeat(65);
         let used = ["leadtime", "leadtime-sims", "leadtime_numerics", "serde", "test", "deps"];
-        for name in ["", "3d", "Grid", "a b", "../x", &long].into_iter().chain(used) {
+        let words = ["fn", "self", "yield"];
+        for name in ["", "3d", "Grid", "a b", "../x", &long].into_iter().chain(used).chain(words) {
             let error = template(name, LeadtimeSource::Repository).unwrap_err().to_string();
             assert!(
                 error.starts_with(&format!("`name` is {name}; allowed: a lower-case")),

@@ -67,7 +67,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         .blame(ExitCode::WrongInput)?;
     let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
-        .blame(ExitCode::WrongInput)?;
+        .blame(ExitCode::WrongInput)?
+        .keeping(run_dir.record.clone());
     let n_asked = args.run.stop_after.and_then(|it| it.n_updates(config.steps_per_update()));
     let time_is_up = args
         .run

@@ -51,15 +51,24 @@ fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
     } else {
         Vec::new()
     };
+    let mut failed = None;
     for run in old.iter_mut().filter(|run| which.yes && run.stays.is_none()) {
         let removed = prune::remove(runs, run);
-        if !removed.with_context(|| format!("removing {}", runs.join(&run.name).display()))? {
-            run.stays = Some(StaysBecause::InUse);
-        }
+        run.stays = match removed {
+            Ok(true) => None,
+            Ok(false) => Some(StaysBecause::InUse),
+            // What became of the others is told all the same.
+            Err(error) => {
+                let what = format!("removing {}", runs.join(&run.name).display());
+                failed = failed.or(Some(anyhow::Error::from(error).context(what)));
+                Some(StaysBecause::CannotRemove)
+            }
+        };
     }
+    let done = failed.map_or(Ok(()), Err);
     if args.json {
         output::json(&old);
-        return Ok(());
+        return done;
     }
     let gone = if which.yes { "removed" } else { "would be removed" };
     for OldRun { name, days, bytes, stays } in &old {
@@ -67,6 +76,10 @@ fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
             None => gone,
             Some(StaysBecause::InUse) => "stays: it is in use",
             Some(StaysBecause::Best) => "stays: it is the best of its configuration",
+            Some(StaysBecause::Unreadable) => {
+                "stays: it cannot be read, so it may be the best of its configuration"
+            }
+            Some(StaysBecause::CannotRemove) => "stays: it cannot be removed",
         };
         let (size, age) = (*bytes as f64 / 1e6, counted(*days, "day"));
         output::line(&format!("{name}  {size:.1} MB, {age} old: {fate}"));
@@ -77,7 +90,7 @@ fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
     } else if !which.yes {
         output::note("Nothing was removed; --yes does it.");
     }
-    Ok(())
+    done
 }
 
 /// Prints the columns for which a terminal has room, or all. Scripts get every main column.

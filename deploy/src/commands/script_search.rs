@@ -83,7 +83,7 @@ pub(super) fn run(tasks: &Tasks, args: &ScriptSearchArgs) -> Result<(), Failure>
         evaluation::print(&comparison, args.shown.all);
     }
     let head = toml::to_string(&origin).blame(ExitCode::Failed)?;
-    let text = format!("[search]\n{head}\n{}", found.script.toml());
+    let text = found.script.file(&format!("[search]\n{head}"));
     output::file(&path, text.as_bytes()).blame(ExitCode::WrongInput)?;
     if !args.shown.json {
         let shown = path.display().to_string();
@@ -172,21 +172,20 @@ fn words(found: &FoundScript) -> String {
 /// Returns where the script will be written, and refuses at once what would fail after the search.
 fn destination(args: &ScriptSearchArgs) -> Result<PathBuf, Failure> {
     let wrong = |says: String| Failure::of(ExitCode::WrongInput, anyhow::anyhow!(says));
-    let Some(path) = args.out.clone() else {
-        let stem = args.task.file_stem().and_then(|stem| stem.to_str()).unwrap_or("task");
-        let path = PathBuf::from(format!("{stem}-script.toml"));
-        if path.exists() {
-            let shown = path.display();
-            return Err(wrong(format!("{shown} exists already; name another file with -o")));
-        }
-        return Ok(path);
-    };
+    let stem = args.task.file_stem().and_then(|stem| stem.to_str()).unwrap_or("task");
+    let own = || PathBuf::from(format!("{stem}-script.toml"));
+    let path = args.out.clone().unwrap_or_else(own);
+    let shown = path.display();
+    if args.out.is_none() && path.exists() {
+        return Err(wrong(format!("{shown} exists already; name another file with -o")));
+    }
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    if path.is_dir() {
-        return Err(wrong(format!("{} is a folder; name a file with -o", path.display())));
+    if path.is_dir() || path.as_os_str().as_encoded_bytes().ends_with(b"/") {
+        return Err(wrong(format!("{shown} is a folder; name a file with -o")));
     }
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         return Err(wrong(format!("there is no folder {}; make it first", folder.display())));
     }
+    output::check_file(&path).blame(ExitCode::WrongInput)?;
     Ok(path)
 }
