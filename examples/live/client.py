@@ -6,7 +6,7 @@
 """
 import json
 import math
-import random
+import secrets
 import sys
 import time
 
@@ -17,7 +17,7 @@ if len(sys.argv) < 2:
 ENDPOINT = sys.argv[1]
 STEP = float(sys.argv[2]) if len(sys.argv) > 2 else 0.3
 CLIENT, KEY = "robot-1", "leadtime/live/1/notifier/robot-1"
-START = f"{random.getrandbits(64):016x}"
+START = secrets.token_hex(8)
 here, was_here = set(), None
 
 

@@ -14,7 +14,7 @@ The messages and what happens when something is late, lost or broken: docs/live.
 """
 import json
 import queue
-import random
+import secrets
 import time
 
 import zenoh
@@ -62,7 +62,8 @@ class Notifier:
             f"{self._key}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)
 
     def _open(self, service, domain, clock, seconds_per_step, seed):
-        start = f"{random.getrandbits(64):016x}"
+        # New at every start, also of a program that seeds the generator of `random`.
+        start = secrets.token_hex(8)
         self._token = self._session.liveliness().declare_token(f"{self._key}/alive/{start}")
         alive = f"leadtime/live/1/{service}/alive/*"
         self._watched = self._session.liveliness().declare_subscriber(alive, self._on_presence, history=True)

@@ -2,6 +2,7 @@
 import json
 import os
 import queue
+import random
 import re
 import struct
 import subprocess
@@ -105,6 +106,15 @@ class Live(unittest.TestCase):
     def other(self):
         return zenoh.open(zenoh.Config.from_json5(json.dumps(
             {"mode": "client", "connect": {"endpoints": [self.endpoint]}, "scouting": {"multicast": {"enabled": False}}})))
+
+    def test_a_program_that_draws_the_same_at_every_start_is_another_client_each_time(self):
+        sessions = []
+        for _ in range(2):
+            random.seed(1)
+            with Notifier(self.endpoint, "j", "lander", seed=7) as notifier:
+                self.assertTrue(notifier.step([0.0] * 8, timeout=5.0)[-1]["last"])
+                sessions.append(notifier.answer["session"])
+        self.assertNotEqual(*sessions)
 
     def test_a_notifier_that_stands_still_is_lost_and_has_refused_nothing(self):
         asked = []
