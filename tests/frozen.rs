@@ -128,6 +128,7 @@ fn messages() -> String {
         ("hello_reply.taken", sealed(&HelloReply::Taken)),
         ("control.assign", sealed(&Control::Assign(assignment))),
         ("control.stop", sealed(&stop)),
+        ("control.wait", sealed(&Control::Wait)),
         ("control_reply.followed", sealed(&ControlReply::Followed { epoch: Epoch(6) })),
         ("control_reply.cannot_restore", sealed(&cannot)),
         ("credit", sealed(&credit)),

@@ -6,7 +6,7 @@
 """
 import json
 import math
-import random
+import secrets
 import sys
 import time
 
@@ -17,8 +17,8 @@ if len(sys.argv) < 2:
 ENDPOINT = sys.argv[1]
 STEP = float(sys.argv[2]) if len(sys.argv) > 2 else 0.3
 CLIENT, KEY = "robot-1", "leadtime/live/1/notifier/robot-1"
-START = f"{random.getrandbits(64):016x}"
-is_gone = False
+START = secrets.token_hex(8)
+here, was_here = set(), None
 
 
 def seen(step):
@@ -42,12 +42,14 @@ def on_status(sample):
 
 
 def on_presence(sample):
-    global is_gone
-    if sample.kind == zenoh.SampleKind.DELETE:
+    global was_here
+    # One that is started again may show its new token before the old one goes.
+    (here.discard if sample.kind == zenoh.SampleKind.DELETE else here.add)(str(sample.key_expr))
+    if was_here and not here:
         print("     the notifier is gone: nobody speaks")
-    elif is_gone:
+    elif was_here is False and here:
         print("     the notifier is back: ask it for a session again")
-    is_gone = sample.kind == zenoh.SampleKind.DELETE
+    was_here = bool(here)
 
 
 config = zenoh.Config.from_json5(json.dumps({
@@ -67,7 +69,9 @@ with session:
     if reply is None:
         sys.exit(f"no notifier is at work at {ENDPOINT}: a learner and a router answer there, too")
     if reply.ok is None:
-        sys.exit(f"refused: {reply.err.payload.to_string()}")
+        said = reply.err.payload.to_string()
+        # The network's word for one that is there and stands still.
+        sys.exit("the notifier does not answer" if said == "Timeout" else f"refused: {said}")
     answer = json.loads(reply.ok.payload.to_string())
     print(f"session {answer['session']}: {answer['obs_dim']} numbers, topics {', '.join(answer['topics'])}")
     sights = session.declare_publisher(

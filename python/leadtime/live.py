@@ -14,7 +14,7 @@ The messages and what happens when something is late, lost or broken: docs/live.
 """
 import json
 import queue
-import random
+import secrets
 import time
 
 import zenoh
@@ -43,8 +43,9 @@ class Notifier:
     def __init__(self, endpoint, client, domain, *, service="notifier", clock="observation", seconds_per_step=0.3, seed=0,
                  patience=PATIENCE, config=None):
         self._key = f"leadtime/live/1/{service}/{client}"
-        # Whether the notifier is there is not known before its token was seen.
-        self._said, self._status, self._is_here = queue.Queue(MAX_EVENTS), {}, None
+        # The notifiers that are there, by their tokens; None before the first was seen. One that is started again may show its new
+        # token before the old one goes.
+        self._said, self._status, self._here = queue.Queue(MAX_EVENTS), {}, None
         self._patience, self._began = patience, time.monotonic()
         settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
         try:
@@ -61,7 +62,8 @@ class Notifier:
             f"{self._key}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)
 
     def _open(self, service, domain, clock, seconds_per_step, seed):
-        start = f"{random.getrandbits(64):016x}"
+        # New at every start, also of a program that seeds the generator of `random`.
+        start = secrets.token_hex(8)
         self._token = self._session.liveliness().declare_token(f"{self._key}/alive/{start}")
         alive = f"leadtime/live/1/{service}/alive/*"
         self._watched = self._session.liveliness().declare_subscriber(alive, self._on_presence, history=True)
@@ -72,14 +74,19 @@ class Notifier:
         deadline = time.monotonic() + self._patience
         while time.monotonic() < deadline:
             for reply in self._session.get(f"{self._key}/open", payload=json.dumps(question), timeout=self._patience):
-                if reply.ok is None:
-                    raise Refused(reply.err.payload.to_string())
-                return json.loads(reply.ok.payload.to_string())
+                if reply.ok is not None:
+                    return json.loads(reply.ok.payload.to_string())
+                said = reply.err.payload.to_string()
+                # The network's word for a notifier that is there and stands still; its own are sentences.
+                if said != "Timeout":
+                    raise Refused(said)
             time.sleep(0.05)
         raise Lost(f"no notifier `{service}` answers within {self._patience:g} s")
 
     def _on_presence(self, sample):
-        self._is_here = sample.kind == zenoh.SampleKind.PUT
+        here = self._here or frozenset()
+        token = {str(sample.key_expr)}
+        self._here = here | token if sample.kind == zenoh.SampleKind.PUT else here - token
 
     def _on_say(self, sample):
         event = json.loads(sample.payload.to_string())
@@ -103,7 +110,7 @@ class Notifier:
     @property
     def is_here(self):
         """Whether the notifier is there."""
-        return bool(self._is_here)
+        return bool(self._here)
 
     def observe(self, observation, *, facts=None, episode=0, end=False):
         """Sends an observation, and returns its number.
@@ -143,7 +150,7 @@ class Notifier:
             except queue.Empty:
                 if self._status.get("refused", 0) > n_refused and self._status.get("told"):
                     raise Refused(self._status["told"]) from None
-                if self._is_here is False:
+                if self._here is not None and not self._here:
                     raise Lost("the notifier is gone") from None
                 if left > 0:
                     continue

@@ -9,6 +9,7 @@
 The formulas are those of docs/policy-file.md. Logits agree with the program's within rounding, not in every bit.
 """
 
+import hashlib
 import json
 from dataclasses import dataclass, field
 
@@ -34,17 +35,43 @@ def load(path):
             raise ValueError("it is no safetensors file")
         header = json.loads(data[8:start])
         metadata = header.pop("__metadata__", {})
-        tensors = {}
-        for name, entry in header.items():
-            begin, end = (start + offset for offset in entry["data_offsets"])
-            tensors[name] = np.frombuffer(data[begin:end], TYPES[entry["dtype"]]).reshape(entry["shape"])
+        tensors = read_tensors(header, data[start:])
         if "architecture" not in metadata:
             raise ValueError("it does not say what its networks look like")
         policy = Policy(json.loads(metadata["architecture"]), tensors, metadata)
-        policy.logits(np.zeros(policy.obs_dim), policy.begin())
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
+        logits, _ = policy.logits(np.zeros(policy.obs_dim), policy.begin())
+        n_choices = sum(head["n_choices"] for head in policy.spec["actions"]["heads"])
+        if logits.shape != (n_choices,):
+            raise ValueError(f"it has {logits.size} logits for {n_choices} choices")
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         raise PolicyError(f"{path} is no policy of Leadtime: {error}") from error
+    if metadata.get("weights_sha256", digest_of(tensors)) != digest_of(tensors):
+        raise PolicyError(f"{path} is damaged: its weights are not those that were written; take the file from a copy")
     return policy
+
+
+def read_tensors(header, data):
+    """Reads the tensors of a safetensors file, which lie one behind the other."""
+    tensors, covered = {}, 0
+    for name, entry in sorted(header.items(), key=lambda item: item[1]["data_offsets"]):
+        begin, end = entry["data_offsets"]
+        if begin != covered or end > len(data):
+            raise ValueError(f"the tensor {name} is not where its file has room for it")
+        tensors[name], covered = np.frombuffer(data[begin:end], TYPES[entry["dtype"]]).reshape(entry["shape"]), end
+        if not np.isfinite(tensors[name]).all():
+            raise ValueError(f"the tensor {name} holds a value that is not finite")
+    if covered != len(data):
+        raise ValueError(f"{len(data) - covered} bytes follow the last tensor")
+    return tensors
+
+
+def digest_of(tensors):
+    """Returns the SHA-256 over names and numbers that `weights_sha256` has."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(name.encode())
+        digest.update(tensors[name].tobytes())
+    return digest.hexdigest()
 
 
 def softmax(x):
@@ -112,17 +139,20 @@ class Policy:
         if not greedy and rng is None:
             raise ValueError("choices are drawn with a generator: give rng, or greedy=True")
         logits, state = self.logits(observation, state)
+        if not np.isfinite(logits).all():
+            raise ValueError("the observation, or the state, holds a number that is not finite")
+        if mask is not None and np.shape(mask) != logits.shape:
+            raise ValueError(f"a mask has {logits.size} entries, head after head; this one has shape {np.shape(mask)}")
         action, first = [], 0
         for index, head in enumerate(self.spec["actions"]["heads"]):
             n = head["n_choices"]
             of_head = logits[first : first + n]
             offered = np.ones(n, bool) if mask is None else np.asarray(mask[first : first + n], bool)
             rule = next((rule for rule in self.spec["actions"]["conditionals"] if rule["head"] == index), None)
-            if rule:
-                bits = rule["allowed"][action[rule["given"]]]
-                conditional = np.array([bits >> choice & 1 == 1 for choice in range(n)])
-                # Where both leave nothing, the rule alone decides, as in the program.
-                offered = offered & conditional if (offered & conditional).any() else conditional
+            bits = rule["allowed"][action[rule["given"]]] if rule else -1
+            conditional = np.array([bits >> choice & 1 == 1 for choice in range(n)])
+            # Where both leave nothing, the rule alone decides, as in the program; without one, everything is left.
+            offered = offered & conditional if (offered & conditional).any() else conditional
             of_head = np.where(offered, of_head, -np.inf)
             action.append(int(np.argmax(of_head)) if greedy else int(rng.choice(n, p=softmax(of_head))))
             first += n

@@ -31,6 +31,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Mapping
 
 VERSION = 1
 HELLO, BEGIN, STEP, STEPPED, SNAPSHOT, SNAPSHOTTED, LOG, FAILED, ALIVE = range(1, 10)
@@ -41,6 +42,9 @@ EVERYTHING = 2**64 - 1
 SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work.
 LINES_PER_SECOND = 10
 MOST_TRACEBACKS = 20
+MOST_SHOWN = 80  # Characters of a value in a sentence.
+CLOSING = 1.0  # Seconds that environments have for their `close` when the actor is gone.
+LARGEST = 3e38  # About the largest number of 32 bits; the actor refuses it by name.
 ENGINES = ("Box2D", "mujoco", "ale_py", "pettingzoo", "torch", "jax")  # What computes may decide what is computed.
 NONE, TERMINATED, TRUNCATED, DID_FAIL = range(4)
 
@@ -73,7 +77,7 @@ class Connection:
         self.last = time.monotonic()
 
     def failed(self, slot, error):
-        self.send(FAILED, struct.pack("<H", slot), sentence(error).encode()[:MOST_TEXT])
+        self.send(FAILED, struct.pack("<H", slot), as_bytes(sentence(error)))
 
     def live(self):
         """Tells the actor now and then that it is worth waiting."""
@@ -94,7 +98,37 @@ class LogHandler(logging.Handler):
         self.second = second
         if self.n_lines <= LINES_PER_SECOND:
             level = min(max(record.levelno // 10 - 1, 0), 3)
-            self.connection.send(LOG, bytes([level]), self.format(record).encode()[:MOST_TEXT])
+            try:
+                text = as_bytes(self.format(record))
+            except Exception:
+                # As everywhere in Python: a line that cannot be written fails nothing but itself.
+                self.handleError(record)
+                return
+            self.connection.send(LOG, bytes([level]), text)
+
+
+def as_bytes(text):
+    return text.encode(errors="backslashreplace")[:MOST_TEXT]
+
+
+def shown(value):
+    """Writes a value as a sentence quotes it, whatever it is."""
+    try:
+        text = " ".join(repr(value).split())
+    except Exception:
+        text = f"a {type(value).__name__}"
+    return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 3] + "..."
+
+
+def number(value, what):
+    """Returns a number that fits 32 bits."""
+    try:
+        value = float(value)
+    except OverflowError:
+        return LARGEST
+    except (TypeError, ValueError):
+        raise Refused(f"{what} is {shown(value)}, which is no number") from None
+    return max(min(value, LARGEST), -LARGEST) if math.isfinite(value) else value
 
 
 def sentence(error):
@@ -108,7 +142,11 @@ def sentence(error):
     where = "".join(f" ({os.path.basename(frame.filename)}:{frame.lineno})" for frame in place)
     if isinstance(error, ImportError) and not own:
         where = ""
-    return ": ".join(filter(None, (type(error).__name__, " ".join(str(error).split())))) + where
+    try:
+        text = " ".join(str(error).split())
+    except Exception:
+        text = ""
+    return ": ".join(filter(None, (type(error).__name__, text))) + where
 
 
 # --- What environments look like -----------------------------------------------------------------------------------------
@@ -176,7 +214,9 @@ class Flattener:
                           "Tuple of these") from None
         is_box = isinstance(space, spaces.Box)
         self.flatten = None if is_box else spaces.flatten
-        self.shape, self.nothing = (self.dim,), np.zeros(self.dim, np.float32)
+        # Observations of this shape are a row as they are.
+        self.shape = (self.dim,) if is_box and space.shape == (self.dim,) else None
+        self.nothing = np.zeros(self.dim, np.float32)
         self.watches, self.told = is_box, False
         if is_box:
             self.low, self.high = (bound.flatten().astype(np.float32) for bound in (space.low, space.high))
@@ -246,8 +286,33 @@ def from_registry(name, arguments):
     return make
 
 
+def own_code():
+    """Returns digests of the code that no package has: of each module beside Python's and the installed ones, by the first part of
+    its name. A reward may be decided in the wrapper, or in a module that an environment imports, as well as in its own file."""
+    library, files = os.path.dirname(os.__file__) + os.sep, {}
+    for name, module in list(sys.modules.items()):
+        file, top = getattr(module, "__dict__", {}).get("__file__"), name.partition(".")[0]
+        if not isinstance(file, str) or top in ("__main__", "__mp_main__", "leadtime"):
+            continue
+        file = os.path.abspath(file)
+        is_installed = file.startswith(library) or "site-packages" in file or "dist-packages" in file
+        if not is_installed and os.path.isfile(file):
+            files.setdefault(top, {})[name] = file
+    return {top: "sha256 " + digest_of(of_top) for top, of_top in files.items()}
+
+
+def digest_of(files):
+    """Returns the digest of one file, or one over the names and digests of several."""
+    parts = []
+    for name, file in sorted(files.items()):
+        with open(file, "rb") as source:
+            parts.append((name, hashlib.sha256(source.read()).hexdigest()))
+    whole = parts[0][1] if len(parts) == 1 else hashlib.sha256(repr(parts).encode()).hexdigest()
+    return whole[:12]
+
+
 def versions_of(env):
-    """Returns what decides what is computed: versions of packages, and of the user's own file its digest."""
+    """Returns what decides what is computed: versions of packages, and of the user's own files their digests."""
     from importlib import metadata
 
     import gymnasium
@@ -261,12 +326,23 @@ def versions_of(env):
         except metadata.PackageNotFoundError:
             file = getattr(sys.modules.get(name), "__file__", None)
             if file and os.path.exists(file):
-                with open(file, "rb") as source:
-                    found[name] = "sha256 " + hashlib.sha256(source.read()).hexdigest()[:12]
+                found[name] = "sha256 " + digest_of({name: file})
+    for name, digest in own_code().items():
+        # A package that is installed from its folder has a version, which changes less often than its code.
+        found[f"{name} files" if name in found and not found[name].startswith("sha256 ") else name] = digest
     return dict(sorted(found.items()))
 
 
 # --- The worker ----------------------------------------------------------------------------------------------------------
+
+
+def five(told):
+    """Returns the five values of a step, in whatever they came."""
+    values = told if isinstance(told, (tuple, list)) else None
+    if values is not None and len(values) == 5:
+        return values
+    found = shown(told) if values is None else f"{len(values)} values"
+    raise Refused(f"`step` returns {found}, not five: the environment needs Gymnasium 0.26 or newer")
 
 
 class Worker:
@@ -285,6 +361,7 @@ class Worker:
         self.observe = Flattener(first.observation_space, spaces, numpy)
         self.action_space, self.observation_space = first.action_space, first.observation_space
         self.n_choices = sum(n for _, n in self.heads)
+        self.first_choices = numpy.cumsum([0] + [n for _, n in self.heads[:-1]])
         # What is wrong with every episode is told before a run begins.
         observation, info = self.reset(0, 0)
         self.observe.row(observation)
@@ -316,6 +393,8 @@ class Worker:
             raise
         if not (isinstance(told, tuple) and len(told) == 2):
             raise Refused("`reset` does not return (observation, info): the environment needs Gymnasium 0.26 or newer")
+        if not isinstance(told[1], Mapping):
+            raise Refused(f"the info of `reset` is {shown(told[1])}, which is no dict")
         for kind, space in (("action", self.action_space), ("observation", self.observation_space)):
             own = getattr(env, kind + "_space")
             if own is not space and own != space:
@@ -331,6 +410,10 @@ class Worker:
         flat = np.concatenate([np.ravel(part) for part in parts]).astype(bool)
         if flat.shape != (self.n_choices,):
             raise Refused(f"info[\"action_mask\"] has {flat.size} entries for {self.n_choices} choices")
+        is_offered = np.logical_or.reduceat(flat, self.first_choices)
+        if not is_offered.all():
+            name = self.heads[int(is_offered.argmin())][0]
+            raise Refused(f"info[\"action_mask\"] offers no choice of `{name}`: offer at least one, such as one that does nothing")
         return int.from_bytes(np.packbits(flat, bitorder="little").tobytes(), "little")
 
     def summary(self, info):
@@ -339,7 +422,7 @@ class Worker:
             value = info.get(name, info.get("is_success") if name == "success" else None)
             if value is None:
                 raise Refused(f"info has no `{name}` at the end of an episode, which `world.metrics` names")
-            values.append(float(value))
+            values.append(number(value, f"`{name}` of info"))
         return self.metric_layout.pack(*values)
 
     def begin(self, body):
@@ -387,18 +470,18 @@ class Worker:
         for i, (slot, seed, choices) in enumerate(self.step_layout.iter_unpack(memoryview(body)[2:])):
             try:
                 told = envs[slot].step(decode(choices))
-                if len(told) != 5:
-                    raise Refused(f"`step` returns {len(told)} values, not five: the environment needs Gymnasium 0.26 or newer")
+                if told.__class__ is not tuple or len(told) != 5:
+                    told = five(told)
                 observation, reward, terminated, truncated, info = told
+                if info.__class__ is not dict and not isinstance(info, Mapping):
+                    raise Refused(f"the info of `step` is {shown(info)}, which is no dict")
                 # What most environments return is sent as it is.
                 if observation.__class__ is ndarray and observation.dtype is float32 and observation.shape == shape:
                     row = observation
                 else:
                     row = row_of(observation)
-                try:
-                    reward = float(reward)
-                except (TypeError, ValueError):
-                    raise Refused(f"the reward is {reward!r}, which is no number") from None
+                if reward.__class__ is not float:
+                    reward = number(reward, "the reward")
                 ended = b""
                 if terminated or truncated:
                     ended = row.tobytes() + self.summary(info)
@@ -432,7 +515,7 @@ class Worker:
             paid = struct.pack(f"<{n}f", *rewards)
         except OverflowError:
             # More than a 32-bit number holds; the actor refuses it by name.
-            paid = struct.pack(f"<{n}f", *(max(min(reward, 3e38), -3e38) if reward == reward else reward for reward in rewards))
+            paid = struct.pack(f"<{n}f", *(number(reward, "the reward") for reward in rewards))
         self.connection.send(STEPPED, struct.pack("<H", n), seen, paid, ends, struct.pack(f"<{n}Q", *masks), *rest)
 
     def snapshot(self, body):
@@ -461,14 +544,24 @@ class Worker:
                 return
             answers[kind](body)
 
+    def close(self):
+        """Lets environments tidy up: some have started programs, or have files to finish."""
+        for env in self.envs.values():
+            try:
+                env.close()
+            except Exception as error:
+                print(f"`close` fails: {sentence(error)}", file=sys.stderr)
+
 
 def end_with_the_actor():
-    """The actor holds the other end of our standard input; when it is gone, so are we, whatever an environment does."""
+    """The actor holds the other end of our standard input; when it is gone, so are we, whatever an environment does. Its
+    connection is gone then, too, which lets environments close in the meantime."""
     try:
         while os.read(0, 1024):
             pass
     except OSError:
         pass
+    time.sleep(CLOSING)
     os._exit(0)
 
 
@@ -504,6 +597,7 @@ def main(arguments):
         worker.work()
     except (BrokenPipeError, ConnectionResetError):
         pass
+    worker.close()
     return 0
 
 

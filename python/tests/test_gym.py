@@ -262,6 +262,46 @@ class Policy(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "give rng"):
             load(ROOT / "deploy/policies/piloting.safetensors").act(np.zeros(89))
 
+    def test_a_policy_that_is_damaged_or_asked_something_impossible_says_so(self):
+        import hashlib
+
+        from leadtime.policy import PolicyError
+        whole = (ROOT / "deploy/policies/piloting.safetensors").read_bytes()
+        start = 8 + int.from_bytes(whole[:8], "little")
+        header, numbers = json.loads(whole[8:start]), whole[start:]
+        digest = hashlib.sha256()
+        for name in sorted(set(header) - {"__metadata__"}):
+            begin, end = header[name]["data_offsets"]
+            digest.update(name.encode() + numbers[begin:end])
+        header["__metadata__"]["weights_sha256"] = digest.hexdigest()
+        head = json.dumps(header).encode()
+        begin = header["actor.head.bias"]["data_offsets"][0]
+        place = tempfile.TemporaryDirectory()
+        self.addCleanup(place.cleanup)
+
+        def loaded(numbers):
+            file = Path(place.name) / "policy.safetensors"
+            file.write_bytes(len(head).to_bytes(8, "little") + head + numbers)
+            return load(file)
+
+        policy, zeros = loaded(numbers), np.zeros(89)
+        with self.assertRaisesRegex(PolicyError, "is damaged"):
+            loaded(numbers[:begin] + bytes([numbers[begin] ^ 1]) + numbers[begin + 1:])
+        with self.assertRaisesRegex(PolicyError, "actor.head.bias holds a value that is not finite"):
+            loaded(numbers[:begin] + np.float32("nan").tobytes() + numbers[begin + 4:])
+        with self.assertRaisesRegex(PolicyError, "7 bytes follow"):
+            loaded(numbers + b"another")
+        with self.assertRaisesRegex(PolicyError, "has room for it"):
+            loaded(numbers[:-4])
+        with self.assertRaisesRegex(ValueError, "not finite"):
+            policy.act(np.full(89, np.nan), greedy=True)
+        with self.assertRaisesRegex(ValueError, "a mask has 10 entries"):
+            policy.act(zeros, mask=[1, 1], greedy=True)
+        # What leaves nothing of a head takes nothing away, as in the program.
+        nothing, _ = policy.act(zeros, mask=np.zeros(10, bool), greedy=True)
+        self.assertEqual(nothing, policy.act(zeros, greedy=True)[0])
+        policy.act(zeros, mask=np.zeros(10, bool), rng=np.random.default_rng(1))
+
 
 if __name__ == "__main__":
     unittest.main()

@@ -2,11 +2,13 @@
 import json
 import os
 import queue
+import random
 import re
 import struct
 import subprocess
 import unittest
 from pathlib import Path
+from types import SimpleNamespace
 
 import zenoh
 from leadtime.live import Lost, Notifier, Refused
@@ -100,6 +102,38 @@ class Live(unittest.TestCase):
         starts = [event for event in events if event[0] == 1]
         self.assertGreater(len(starts), 2)
         self.assertEqual([event[1] for event in starts], list(range(1, len(starts) + 1)))
+
+    def other(self):
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(
+            {"mode": "client", "connect": {"endpoints": [self.endpoint]}, "scouting": {"multicast": {"enabled": False}}})))
+
+    def test_a_program_that_draws_the_same_at_every_start_is_another_client_each_time(self):
+        sessions = []
+        for _ in range(2):
+            random.seed(1)
+            with Notifier(self.endpoint, "j", "lander", seed=7) as notifier:
+                self.assertTrue(notifier.step([0.0] * 8, timeout=5.0)[-1]["last"])
+                sessions.append(notifier.answer["session"])
+        self.assertNotEqual(*sessions)
+
+    def test_a_notifier_that_stands_still_is_lost_and_has_refused_nothing(self):
+        asked = []
+        with self.other() as session:
+            session.declare_queryable("leadtime/live/1/still/*/open", asked.append)
+            with self.assertRaisesRegex(Lost, "no notifier `still` answers within 0.5 s"):
+                Notifier(self.endpoint, "h", "lander", service="still", patience=0.5)
+        self.assertTrue(asked)
+
+    def test_a_notifier_that_is_started_again_is_there_although_its_old_token_goes_last(self):
+        def token(kind, start):
+            return SimpleNamespace(kind=kind, key_expr=f"leadtime/live/1/notifier/alive/{start}")
+
+        with Notifier(self.endpoint, "i", "lander") as notifier:
+            notifier._here = None
+            for kind, start, is_here in [(zenoh.SampleKind.PUT, "a", True), (zenoh.SampleKind.PUT, "b", True),
+                                         (zenoh.SampleKind.DELETE, "a", True), (zenoh.SampleKind.DELETE, "b", False)]:
+                notifier._on_presence(token(kind, start))
+                self.assertEqual(notifier.is_here, is_here)
 
     def test_where_nobody_is_nobody_is_found(self):
         with self.assertRaises(Lost):

@@ -4,6 +4,7 @@ What a space becomes and what is refused is checked by speaking the protocol; th
 """
 
 import contextlib
+import hashlib
 import io
 import json
 import logging
@@ -89,6 +90,10 @@ class Pair:
         length = 4 + len(base) + len(actions)
         body, failures = self.ask(worker.BEGIN, struct.pack("<HHIII", 1, slot, seed, length, len(base)) + base + actions)
         return self.read(body), failures
+
+    def begun(self):
+        self.begin()
+        return self
 
     def step(self, choices, slot=0, seed=8):
         body, failures = self.ask(worker.STEP, struct.pack("<HHI", 1, slot, seed) + bytes(choices))
@@ -183,6 +188,101 @@ def test_what_cannot_be_is_said_in_a_sentence():
     pair.begin()
     _, failures = pair.step([0])
     assert "`step` returns 4 values, not five" in failures[0], failures
+
+
+def test_an_odd_info_is_named_and_no_line_of_the_log_fails_a_step():
+    class Odd(Toy):
+        def reset(self, **options):
+            observation, info = super().reset(**options)
+            return observation, None if self.fault == "no-info" else {"action_mask": [0, 0, 0]} if self.fault == "no-choice" else info
+
+        def step(self, action):
+            observation, reward, terminated, truncated, info = super().step(action)
+            found = {"list": [1], "nothing": None}
+            if self.fault in found:
+                return observation, reward, terminated, truncated, found[self.fault]
+            if self.fault == "no-tuple":
+                return None
+            if self.fault == "log":
+                logging.getLogger("odd").warning("%s and %s", 1)
+            if self.fault == "unwritable":
+                class Unwritable(Exception):
+                    def __str__(self):
+                        raise ValueError
+                raise Unwritable
+            if self.fault == "surrogate":
+                raise ValueError("caf\udce9")
+            return observation, 10**5000 if self.fault == "huge" else reward, terminated, truncated, {"success": self.fault, "fuel": 1e39}
+
+    assert refused(lambda index: Odd(fault="no-info")) == "the info of `reset` is None, which is no dict"
+    assert "offers no choice of `action`" in refused(lambda index: Odd(fault="no-choice"))
+    for fault, told in [("list", "the info of `step` is [1], which is no dict"), ("nothing", "the info of `step` is None, which is no dict"),
+                        ("no-tuple", "`step` returns None, not five: the environment needs Gymnasium 0.26 or newer"),
+                        ("yes", "`success` of info is 'yes', which is no number"), ("unwritable", "Unwritable (test_worker.py:"),
+                        ("surrogate", "ValueError: caf\\udce9 (test_worker.py:")]:
+        pair = Pair(lambda index: Odd(fault=fault, length=1))
+        pair.begin()
+        with contextlib.redirect_stderr(io.StringIO()):
+            (_, _, end, _, _), failures = pair.step([0])
+        assert end == worker.DID_FAIL and len(failures) == 1 and failures[0].startswith(told), (fault, failures)
+    # The actor names numbers that are too large.
+    (_, reward, end, _, _), failures = Pair(lambda index: Odd(fault="huge")).begun().step([0])
+    assert end == 0 and reward > 2e38 and not failures, (reward, failures)
+    (_, _, end, _, rest), failures = Pair(lambda index: Odd(fault=1, length=1)).begun().step([0])
+    assert end == worker.TERMINATED and rest[2] == 1 and rest[3] > 2e38 and not failures, (rest, failures)
+    handler, printed = worker.LogHandler(None), io.StringIO()
+    handler.setLevel(logging.WARNING)
+    logging.getLogger().addHandler(handler)
+    try:
+        with contextlib.redirect_stderr(printed):
+            (_, _, end, _, _), failures = Pair(lambda index: Odd(fault="log")).begun().step([0])
+    finally:
+        logging.getLogger().removeHandler(handler)
+    assert end == 0 and not failures and "not enough arguments" in printed.getvalue(), (failures, printed.getvalue())
+
+
+def test_what_wraps_an_environment_or_is_imported_by_it_is_part_of_its_code():
+    with tempfile.TemporaryDirectory() as place:
+        for name in ("__init__", "pay"):
+            Path(place, "road_envs").mkdir(exist_ok=True)
+            Path(place, f"road_envs/{name}.py").write_text("FACTOR = 1\n")
+        Path(place, "road_alone.py").write_text("FACTOR = 1\n")
+        sys.path.insert(0, place)
+        try:
+            import road_alone  # noqa: F401
+            import road_envs.pay  # noqa: F401
+
+            before = worker.versions_of(gymnasium.make("CartPole-v1"))
+            Path(place, "road_envs/pay.py").write_text("FACTOR = -1\n")
+            after = worker.versions_of(gymnasium.make("CartPole-v1"))
+        finally:
+            sys.path.remove(place)
+            for name in ("road_alone", "road_envs", "road_envs.pay"):
+                del sys.modules[name]
+        assert before["road_envs"].startswith("sha256 ") and before["road_envs"] != after["road_envs"], (before, after)
+        assert before["road_alone"] == after["road_alone"] == "sha256 " + hashlib.sha256(b"FACTOR = 1\n").hexdigest()[:12]
+        assert before["gymnasium"] == gymnasium.__version__ and not {"leadtime", "json"} & set(before), before
+
+
+def test_environments_are_closed_when_nobody_asks_any_more():
+    closed = []
+
+    class Closing(Toy):
+        def close(self):
+            closed.append(self.index)
+            if self.index == 0:
+                raise OSError("gone")
+
+    def make(index):
+        env = Closing()
+        env.index = index
+        return env
+
+    pair = Pair(make).begun()
+    pair.begin(slot=1)
+    with contextlib.redirect_stderr(io.StringIO()) as printed:
+        pair.worker.close()
+    assert closed == [0, 1] and "`close` fails: OSError: gone" in printed.getvalue(), (closed, printed.getvalue())
 
 
 def test_the_end_of_an_episode_has_its_last_observation_metrics_and_the_next_first_one():

@@ -163,6 +163,9 @@ pub enum EnvDefect {
          `snapshot_margin`"
     )]
     SnapshotTooLarge { n_bytes: usize, bound: usize, at: StepPlace },
+    /// What steps the environment outside of this process has failed: nothing that it shows after that counts.
+    #[error("{at} cannot be played: {reason}")]
+    Failed { at: StepPlace, reason: String },
     /// The same seed and the same actions do not give the same episode.
     #[error(
         "not deterministic: played again from the same seed in a fresh environment, {0}; draw every random number from \
@@ -337,6 +340,17 @@ impl Recording {
         at_once.or_else(|| self.go_on(env, 0))
     }
 
+    /// Says what is wrong with an environment that played the episode again and differed, if it did.
+    fn defect(
+        &self,
+        env: &dyn Environment,
+        divergence: Option<Divergence>,
+        kind: fn(Divergence) -> EnvDefect,
+    ) -> Option<EnvDefect> {
+        let at = divergence.as_ref().map_or(self.place(0), |divergence| divergence.at);
+        failed(env, at).or_else(|| divergence.map(kind))
+    }
+
     /// Restores the snapshot of a step into an environment, goes on from there, and says what is wrong.
     fn resume(&self, env: &mut dyn Environment, step: usize) -> Option<EnvDefect> {
         let (from, expected) = (self.place(step), &self.shown[step]);
@@ -381,46 +395,78 @@ pub fn check_environment(
 ) -> Result<EnvReport, TaskError> {
     let mut played = Vec::new();
     for episode in 0..N_EPISODES {
-        played.push(record(build()?.as_mut(), episode));
-    }
-    let mut used = build()?;
-    let mut report = EnvReport {
-        n_episodes: N_EPISODES,
-        n_steps: played.iter().map(|recording| recording.actions.len()).sum(),
-        n_restored: 0,
-        largest_snapshot: 0,
-        snapshot_bound: build()?.max_snapshot_bytes(),
-        rewards: rewards(&played, used.as_mut()),
-        defects: Vec::new(),
-    };
-    report.look_at(&played, used.as_ref());
-    for recording in &played {
-        if let Some(divergence) = recording.play_again(build()?.as_mut()) {
-            // Whatever else would be found follows from it.
-            report.defects.push(EnvDefect::NotDeterministic(divergence));
+        let mut env = build()?;
+        let recording = record(env.as_mut(), episode);
+        let defect = failed(env.as_ref(), recording.place(recording.actions.len()));
+        played.push(recording);
+        if defect.is_some() {
+            // Nothing that it showed is worth a comparison.
+            let bound = env.max_snapshot_bytes();
+            let mut report = EnvReport::of(&played, bound, RewardScale::default());
+            report.defects.extend(defect);
             return Ok(report);
         }
     }
-    let mut not_reset = played.iter().find_map(|recording| recording.play_again(used.as_mut()));
+    let mut used = build()?;
+    let bound = build()?.max_snapshot_bytes();
+    let mut report = EnvReport::of(&played, bound, rewards(&played, used.as_mut()));
+    report.look_at(&played, used.as_ref());
+    for recording in &played {
+        let mut env = build()?;
+        let divergence = recording.play_again(env.as_mut());
+        let defect = recording.defect(env.as_ref(), divergence, EnvDefect::NotDeterministic);
+        if defect.is_some() {
+            // Whatever else would be found follows from it.
+            report.defects.extend(defect);
+            return Ok(report);
+        }
+    }
+    let mut not_reset = played.iter().find_map(|recording| {
+        let divergence = recording.play_again(used.as_mut());
+        recording.defect(used.as_ref(), divergence, EnvDefect::NotReset)
+    });
     for (recording, other) in played.iter().zip(played.iter().cycle().skip(1)) {
         for n in 0..N_RESTORED {
             let mut env = build()?;
             other.play_half(env.as_mut());
             report.n_restored += 1;
             let step = n * recording.actions.len() / N_RESTORED;
-            if let Some(defect) = recording.resume(env.as_mut(), step) {
-                report.defects.push(defect);
-                report.defects.extend(not_reset.map(EnvDefect::NotReset));
+            let defect = recording.resume(env.as_mut(), step);
+            let defect = failed(env.as_ref(), recording.place(step)).or(defect);
+            if defect.is_some() {
+                report.defects.extend(defect);
+                report.defects.extend(not_reset);
                 return Ok(report);
             }
-            not_reset = not_reset.or_else(|| other.play_again(env.as_mut()));
+            not_reset = not_reset.or_else(|| {
+                let divergence = other.play_again(env.as_mut());
+                other.defect(env.as_ref(), divergence, EnvDefect::NotReset)
+            });
         }
     }
-    report.defects.extend(not_reset.map(EnvDefect::NotReset));
+    report.defects.extend(not_reset);
     Ok(report)
 }
 
+/// Says that an environment cannot be stepped any more, if so.
+fn failed(env: &dyn Environment, at: StepPlace) -> Option<EnvDefect> {
+    env.failure().map(|reason| EnvDefect::Failed { at, reason })
+}
+
 impl EnvReport {
+    /// Describes episodes that were played, in which nothing is found yet.
+    fn of(played: &[Recording], snapshot_bound: usize, rewards: RewardScale) -> Self {
+        Self {
+            n_episodes: played.len() as u64,
+            n_steps: played.iter().map(|recording| recording.actions.len()).sum(),
+            n_restored: 0,
+            largest_snapshot: 0,
+            snapshot_bound,
+            rewards,
+            defects: Vec::new(),
+        }
+    }
+
     /// Looks at every moment for itself.
     fn look_at(&mut self, played: &[Recording], env: &dyn Environment) {
         let moments = || {

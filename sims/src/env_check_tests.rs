@@ -216,6 +216,63 @@ fn shapes_that_do_not_fit_are_defects() {
 }
 
 #[test]
+fn an_environment_that_fails_is_named_before_anything_that_follows_from_it() {
+    /// Fails in its second step.
+    #[derive(Debug)]
+    struct FailingCounter(Counter, Option<String>);
+
+    impl Environment for FailingCounter {
+        fn spec(&self) -> &EnvSpec {
+            self.0.spec()
+        }
+
+        fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
+            self.0.reset(seed, observation);
+        }
+
+        fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
+            let outcome = self.0.step(action, observation);
+            if self.0.n_steps < 2 {
+                return outcome;
+            }
+            self.1 = Some("environment 0 fails: RuntimeError: no fuel".to_owned());
+            observation.fill(0.0);
+            StepOutcome { reward: 0.0, end: Some(End::Terminated) }
+        }
+
+        fn metrics(&self, _out: &mut [f32]) {}
+
+        fn write_state(&self, out: &mut Vec<u8>) {
+            self.0.write_state(out);
+        }
+
+        fn read_state(
+            &mut self,
+            state: &[u8],
+            observation: &mut [f32],
+        ) -> Result<(), SnapshotError> {
+            self.0.read_state(state, observation)
+        }
+
+        fn failure(&self) -> Option<String> {
+            self.1.clone()
+        }
+    }
+    let n_built = AtomicU32::new(0);
+    let build = || -> Result<Box<dyn Environment>, TaskError> {
+        n_built.fetch_add(1, Ordering::Relaxed);
+        let actions = ActionSpec::discrete("press", 2);
+        let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+        Ok(Box::new(FailingCounter(Counter { spec, n_steps: 0 }, None)))
+    };
+    let report = check_environment(build).unwrap();
+    let found: Vec<String> = report.defects.iter().map(ToString::to_string).collect();
+    let says = "step 2 of episode 0 cannot be played: environment 0 fails: RuntimeError: no fuel";
+    assert_eq!(found, [says]);
+    assert_eq!((report.n_episodes, n_built.into_inner()), (1, 1), "it is not tried again");
+}
+
+#[test]
 fn messages_that_cost_more_than_they_can_win_are_noticed() {
     let notice = check(Flaw::None, 1.0, 1.0).rewards.notice().unwrap();
     let says = "a message costs 1.000, and an episode without messages has rewards of 1.000 in all (absolute): an \

@@ -419,6 +419,12 @@ fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
     refused(&["serve", &policy(), &listen, "--words highway"], &["no sentences for the topics"]);
     let state = place.write("state", "a file");
     refused(&["serve", &policy(), &listen, "--state", &state], &["--state", "cannot make"]);
+    // Two that keep their sessions in one place would write over each other's.
+    let first = serve(&place, "--state kept");
+    let second = "--listen tcp/127.0.0.1:0 --service second --state kept";
+    let told = "--state: kept is another notifier's that is at work";
+    refused(&["serve", &policy(), second], &[told]);
+    first.kill();
     place.finish(&["up -c cartpole --steps 2000 --name pole"]).with_code(0);
     refused(&["serve pole", &listen], &["nobody is spoken to in `cartpole`"]);
     place

@@ -139,6 +139,15 @@ fn an_environment_that_keeps_failing_ends_its_actor_with_a_sentence() {
 }
 
 #[test]
+fn environments_are_closed_when_a_run_is_over() {
+    let place = Place::new();
+    let flag = place.file("closes.flag");
+    train(&place, "closes", &format!("closes {flag}"), "");
+    let closed = format!("{flag}.closed");
+    assert!(fs::exists(&closed).unwrap(), "the worker was killed before it had closed anything");
+}
+
+#[test]
 fn a_worker_that_does_not_begin_is_wrong_input() {
     let place = Place::new();
     for (mode, told) in [
@@ -222,6 +231,16 @@ fn check_compares_two_processes_and_a_pickle_with_what_it_stands_for() {
     let random = check("random", "random", "");
     assert_eq!(random.code, Some(1), "{}", random.stderr);
     assert!(random.stdout.contains("two processes differ in observation[0]"), "{}", random.stdout);
+    // What fails is told as what it is, and not by what follows from it.
+    let raises = check("raises", "raises-at-once", "");
+    assert_eq!(raises.code, Some(1), "{}", raises.stderr);
+    let told = "step 1 of episode 0 cannot be played: environment 0 fails:";
+    assert!(raises.stdout.contains(told), "{}", raises.stdout);
+    for follows in ["`reset` leaves", "not deterministic", "two processes differ"] {
+        assert!(!raises.stdout.contains(follows), "{}", raises.stdout);
+    }
+    let n_told = raises.stderr.matches("its step is taken again").count();
+    assert!(n_told <= 2, "{n_told}: {}", raises.stderr);
     check("empty", "empty-pickle", "snapshot = \"pickle\"")
         .with_code(2)
         .saying(&["a pickle of the environment is not all of it", "snapshot = \"replay\""]);

@@ -189,6 +189,9 @@ fn another_word_in_a_recording_is_found() {
     let whole = same.into_written().unwrap();
     fs::write(place.path().join("cut.mcap"), &whole[..whole.len() * 2 / 3]).unwrap();
     place.finish(&["replay cut.mcap"]).with_code(0).saying(&["ends in the middle"]);
+    fs::write(place.path().join("start.mcap"), &whole[..8]).unwrap();
+    let nothing = place.finish(&["replay start.mcap"]).with_code(WRONG_INPUT);
+    nothing.saying(&["start.mcap: it holds no messages: "]);
     let mut odd = whole.clone();
     let half = whole.len() / 2;
     let in_chunk = whole[half..].windows(5).position(|bytes| bytes == b"\"obs\"").unwrap();

@@ -255,6 +255,10 @@ fn a_wrong_database_is_told_by_line_or_sentence() {
         taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(expected);
     }
     taxonomy(&place, &["validate moon"]).with_code(WRONG_INPUT).saying(&["`moon`", "lander"]);
+    // One that is there is not told to be missing.
+    fs::write(place.path().join("bytes.toml"), [0xff, 0xfe]).unwrap();
+    let unread = taxonomy(&place, &["validate bytes.toml"]).with_code(WRONG_INPUT);
+    unread.saying(&["the database bytes.toml cannot be read", "UTF-8"]);
 }
 
 #[test]

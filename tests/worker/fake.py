@@ -91,6 +91,9 @@ def main():
     while True:
         header = incoming.read(5)
         if len(header) < 5:
+            if MODE == "closes":
+                time.sleep(0.2)
+                os.rename(FILE, FILE + ".closed")
             return
         length, kind = struct.unpack("<IB", header)
         body = incoming.read(length)

@@ -17,7 +17,7 @@ use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 
-use crate::intake::Admitted;
+use crate::admitted::Admitted;
 use crate::keys::VERSION;
 use crate::proof::PeerKey;
 use crate::weights::WeightStore;

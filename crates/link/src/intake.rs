@@ -24,6 +24,7 @@ use leadtime_proto::receive::ROLLOUT;
 use leadtime_proto::{ActorId, Header, Incarnation, Refusal, RefusalCause};
 use zenoh::sample::Sample;
 
+use crate::admitted::Admitted;
 use crate::event::{LearnerEvent, Payload, QueuePermit, QueueUsage};
 use crate::keys;
 use crate::lock::lock;
@@ -43,29 +44,6 @@ pub type RefusalCounts = BTreeMap<(Option<ActorId>, RefusalCause), u64>;
 /// The most starts of actors whose messages are dropped unread, the last ones. Those of others are read, and dropped by the
 /// coordinator.
 const MAX_CUT_OFF: usize = 1_024;
-
-/// The starts of actors that were made welcome and are still there: only theirs are the places of their names.
-#[derive(Debug, Default)]
-pub(crate) struct Admitted(Mutex<BTreeMap<ActorId, Incarnation>>);
-
-impl Admitted {
-    /// Admits a start of an actor instead of any earlier one.
-    pub(crate) fn insert(&self, actor: ActorId, start: Incarnation) {
-        lock(&self.0).insert(actor, start);
-    }
-
-    /// Forgets a start that is gone.
-    pub(crate) fn remove(&self, actor: &ActorId, start: Incarnation) {
-        let mut admitted = lock(&self.0);
-        if admitted.get(actor) == Some(&start) {
-            admitted.remove(actor);
-        }
-    }
-
-    fn contains(&self, actor: &ActorId, start: Incarnation) -> bool {
-        lock(&self.0).get(actor) == Some(&start)
-    }
-}
 
 /// Admits messages from the network's callback to the event queue.
 #[derive(Debug)]

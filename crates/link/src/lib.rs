@@ -51,6 +51,7 @@ pub mod live;
 
 mod access;
 mod actor;
+mod admitted;
 mod answer;
 mod archive;
 mod ask;
@@ -96,3 +97,5 @@ pub use relay::RelayCounts;
 pub use router::RouterLink;
 pub use runtime::{RUNTIME_VARIABLE, runtime, runtime_fault};
 pub use session::{ConnectSettings, ListenSettings};
+#[cfg(any(test, feature = "fakes"))]
+pub use wire::fake_hello;

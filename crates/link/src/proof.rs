@@ -26,12 +26,8 @@ use std::sync::{Arc, Mutex};
 
 use ed25519_dalek::{Signature, Signer as _, SigningKey, VerifyingKey};
 use leadtime_proto::{Header, Incarnation, Refusal, RefusalCause};
-#[cfg(any(test, feature = "fakes"))]
-use leadtime_proto::{Sequence, header::Schema, message::Hello};
 
 use crate::lock::lock;
-#[cfg(any(test, feature = "fakes"))]
-use crate::wire;
 use crate::{Error, Result};
 
 /// Bytes of a public key.
@@ -67,16 +63,6 @@ impl StartKey {
         let mut seed = [0; KEY_BYTES];
         seed[..8].copy_from_slice(&number.to_le_bytes());
         Self(Arc::new(SigningKey::from_bytes(&seed)))
-    }
-
-    /// Composes a hello as it crosses the network, for tests that say it by other means.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Codec`] if it cannot be encoded.
-    #[cfg(any(test, feature = "fakes"))]
-    pub fn hello(&self, number: u64, hello: &Hello) -> Result<(Header, Vec<u8>)> {
-        wire::sign(Schema::Hello, self, Sequence(number), hello)
     }
 
     /// Returns the number of the start.
@@ -302,7 +288,8 @@ pub(crate) fn refused() -> Refusal {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::PolicyVersion;
+    use leadtime_proto::header::Schema;
+    use leadtime_proto::{PolicyVersion, Sequence};
 
     use super::*;
 

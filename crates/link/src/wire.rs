@@ -4,6 +4,8 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use leadtime_proto::header::Schema;
+#[cfg(any(test, feature = "fakes"))]
+use leadtime_proto::message::Hello;
 use leadtime_proto::receive::{self, Expected};
 use leadtime_proto::{Header, Incarnation, Refusal, Sequence, codec};
 use serde::Serialize;
@@ -69,6 +71,16 @@ pub(crate) fn sign<T: Serialize>(
     let proof = key.sign(&header, &payload);
     payload.extend_from_slice(&proof);
     Ok((header, payload))
+}
+
+/// Composes a hello as it crosses the network, for tests that say it by other means.
+///
+/// # Errors
+///
+/// [`crate::Error::Codec`] if it cannot be encoded.
+#[cfg(any(test, feature = "fakes"))]
+pub fn fake_hello(key: &StartKey, number: u64, hello: &Hello) -> Result<(Header, Vec<u8>)> {
+    sign(Schema::Hello, key, Sequence(number), hello)
 }
 
 /// Reads a message for us, and returns the key that we share with the start that proves it.

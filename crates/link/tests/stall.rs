@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
-use leadtime_link::{ActorLink, ConnectSettings, Error, LearnerLink, ListenSettings};
+use leadtime_link::{ActorLink, ConnectSettings, Error, LearnerLink, ListenSettings, fake_hello};
 use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, HelloReply};
 use leadtime_proto::{EnvId, Epoch, Iteration, PolicyVersion, RefusalCause};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -90,7 +90,7 @@ async fn ask_without_reading(site: &Site, n: usize) -> (flume::Sender<()>, zenoh
     let session = site.raw("client").await;
     let (stall, stalled) = flume::bounded::<()>(0);
     for number in 1..=n as u64 {
-        let (header, payload) = start("deaf").hello(number, &hello("deaf")).unwrap();
+        let (header, payload) = fake_hello(&start("deaf"), number, &hello("deaf")).unwrap();
         let (stalled, key) = (stalled.clone(), Key::Hello(&run("one")).to_string());
         let asked = session.get(key).payload(payload).attachment(header.to_bytes());
         asked.callback(move |_| _ = stalled.recv()).await.unwrap();

@@ -18,6 +18,10 @@ pub enum Error {
     NoMcap,
     #[error("it holds no messages of a notifier at work, but {0}")]
     Foreign(String),
+    #[error(
+        "it holds no messages: nothing was said while it was recorded, or it was cut off at its beginning"
+    )]
+    Nothing,
     #[error("its chunks are compressed with {0}; `mcap convert --compression none` unpacks it")]
     Compressed(String),
     #[error("it ends before its first whole chunk: nothing in it can be read")]

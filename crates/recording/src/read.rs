@@ -171,7 +171,7 @@ impl TakenRecords {
         if self.clients.is_empty() {
             return Err(match (&end, self.others.first()) {
                 (_, Some(other)) => Error::Foreign(format!("`{other}`")),
-                (RecordingEnd::Whole, None) => Error::Foreign("nothing".to_owned()),
+                (RecordingEnd::Whole, None) => Error::Nothing,
                 _ => Error::Empty,
             });
         }

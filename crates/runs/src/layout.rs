@@ -24,6 +24,8 @@ pub(crate) const LOCK: &str = "lock";
 pub(crate) const SUPERVISOR_LOCK: &str = "supervisor.lock";
 /// What a learner that ends with its supervisor writes into its lock.
 pub(crate) const SUPERVISED: &[u8] = b"supervised\n";
+/// How the name of a directory begins that is being removed.
+pub(crate) const REMOVED: &str = ".removed-";
 /// The folder of its checkpoints.
 pub(crate) const CHECKPOINTS: &str = "checkpoints";
 /// What a start that was killed may leave in a directory that has no configuration yet.
@@ -232,6 +234,11 @@ pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
 /// Tells whether a directory is a run's, even if a file in it cannot be read.
 pub(crate) fn is_run(path: &Path) -> bool {
     [RECORD, CONFIG].iter().any(|file| path.join(file).exists())
+}
+
+/// Tells whether a directory is what a removal that was killed has left of a run.
+pub(crate) fn is_left(name: &str) -> bool {
+    name.starts_with(REMOVED)
 }
 
 /// Says which file of a run is damaged, and what helps.

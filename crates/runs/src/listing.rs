@@ -8,10 +8,10 @@ use serde::Serialize;
 use serde_json::Value;
 
 use crate::directory_error::with_causes;
-use crate::layout::is_run;
+use crate::layout::{is_left, is_run};
 use crate::race::RacerRecord;
 use crate::record::RecordError;
-use crate::{ForkOrigin, RunRecord, held_out, journal, prune};
+use crate::{ForkOrigin, RunRecord, held_out, journal};
 
 /// The columns of the list, and the main ones, which a terminal has room for.
 const HEAD: &str =
@@ -146,7 +146,7 @@ impl ListedRun {
 
 /// Describes a run directory; `None` if it is not one.
 fn row(path: &Path) -> Option<ListedRun> {
-    let is_left = path.file_name().and_then(|name| name.to_str()).is_some_and(prune::is_left);
+    let is_left = path.file_name().and_then(|name| name.to_str()).is_some_and(is_left);
     (!is_left && is_run(path)).then(|| match RunRecord::read(path) {
         Ok(record) => ListedRun::new(path, record),
         Err(error) => unreadable(path, &error),

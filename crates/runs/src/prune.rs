@@ -18,14 +18,12 @@ use std::time::Duration;
 use leadtime_config::identity;
 use serde::Serialize;
 
-use crate::layout::{CHECKPOINTS, LOCK, SUPERVISOR_LOCK, read_config};
+use crate::layout::{CHECKPOINTS, LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
 use crate::record::RECORD;
 use crate::{ListedRun, RunRecord, clock, journal};
 
 /// Files whose time says when something last happened in a run.
 const SIGNS: [&str; 3] = [RECORD, "metrics.jsonl", "eval.json"];
-/// How the name of a run begins that is being removed.
-const REMOVED: &str = ".removed-";
 
 /// Which runs may go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,11 +120,6 @@ pub fn remove(runs: &Path, run: &OldRun) -> io::Result<bool> {
     };
     fs::remove_dir_all(&removed)?;
     Ok(true)
-}
-
-/// Tells whether a directory is what a removal that was killed has left of a run.
-pub(crate) fn is_left(name: &str) -> bool {
-    name.starts_with(REMOVED)
 }
 
 /// Returns how long ago something happened in a run; `None` if that is not known.

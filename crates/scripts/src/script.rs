@@ -115,6 +115,31 @@ impl Script {
         self.rules.iter().enumerate().try_for_each(check)
     }
 
+    /// Lists what is possible and hardly meant: rules that never hold, and rules that are never asked.
+    pub fn oddities(&self) -> Vec<String> {
+        let mut found = Vec::new();
+        for (i, rule) in self.rules.iter().enumerate() {
+            let n = i + 1;
+            for ScriptCondition { of, above, below, .. } in &rule.when {
+                match (above, below) {
+                    (Some(above), Some(below)) if above >= below => found.push(format!(
+                        "rule {n} never holds: no {of} is at least {above} and below {below}"
+                    )),
+                    (None, None) => found.push(format!(
+                        "rule {n}: its condition on {of} has neither `above` nor `below`, and always holds"
+                    )),
+                    _ => {}
+                }
+            }
+            let is_free = |it: &ScriptCondition| it.above.is_none() && it.below.is_none();
+            if rule.when.iter().all(is_free) && n < self.rules.len() {
+                found.push(format!("no rule behind rule {n} is ever asked: it always holds"));
+                break;
+            }
+        }
+        found
+    }
+
     /// Writes the rules as TOML.
     pub fn toml(&self) -> String {
         // Plain data of one table can always be written.
@@ -248,6 +273,18 @@ say = { topic = "descend", k = 2, l = 2 }
                      2. keep silent if 1.1 <= y\n\
                      3. say descend (k 2, l 2)";
         assert_eq!(script.to_string(), words);
+    }
+
+    #[test]
+    fn what_is_hardly_meant_is_listed() {
+        assert_eq!(Script::read(TEXT).unwrap().oddities(), [] as [&str; 0]);
+        let text = "rules = [{ when = [{ of = \"y\", above = 1.0, below = 0.5 }] }, { when = [{ of = \"x\" }] }, { pause = 1 }]";
+        let says = [
+            "rule 1 never holds: no y is at least 1 and below 0.5",
+            "rule 2: its condition on x has neither `above` nor `below`, and always holds",
+            "no rule behind rule 2 is ever asked: it always holds",
+        ];
+        assert_eq!(Script::read(text).unwrap().oddities(), says);
     }
 
     #[test]

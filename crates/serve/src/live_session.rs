@@ -166,6 +166,8 @@ pub struct LiveSession {
     last_t: f64,
     travel: TravelTime,
     n_refused_in_a_row: u32,
+    /// Observations in a row whose numbers are below one that was taken.
+    n_late_in_a_row: u32,
     /// How many observations were refused in this process, and why the last one was.
     refusals: (u64, String),
     told: String,
@@ -237,6 +239,7 @@ impl LiveSession {
             last_t: 0.0,
             travel: TravelTime::default(),
             n_refused_in_a_row: 0,
+            n_late_in_a_row: 0,
             refusals: (0, String::new()),
             told: String::new(),
             was_strange: vec![false; obs_dim],
@@ -382,7 +385,7 @@ impl LiveSession {
         };
         match read.and_then(|()| self.check_order()) {
             Ok(true) => self.take(now, at, decider, out),
-            Ok(false) => self.counts.out_of_order += 1,
+            Ok(false) => self.pass_over(),
             Err(error) => self.refuse(now, &error, out),
         }
         self.tell(now, out);
@@ -425,6 +428,21 @@ impl LiveSession {
         Ok(true)
     }
 
+    /// Drops an observation that is no newer than the newest. Many below it in a row are of somebody who counts anew.
+    fn pass_over(&mut self) {
+        self.counts.out_of_order += 1;
+        let (seq, last) = (self.incoming.head.seq, self.last_seq.unwrap_or(0));
+        self.n_late_in_a_row += u32::from(seq < last);
+        if self.n_late_in_a_row >= MAX_REFUSED {
+            self.told = format!(
+                "{} observations in a row have numbers below {last}, which was taken, and are passed over: the last has {seq}; \
+                 count on from `last_seq`, or open a new session",
+                std::mem::take(&mut self.n_late_in_a_row)
+            );
+            self.has_news = true;
+        }
+    }
+
     fn refuse(&mut self, now: u64, error: &BadObservation, out: &mut impl SayTo) {
         self.counts.refused += 1;
         self.n_refused_in_a_row += 1;
@@ -442,7 +460,7 @@ impl LiveSession {
         let gap = self.last_seq.map_or(0, |last| head.seq - last - 1);
         self.counts.taken += 1;
         self.counts.missed += gap;
-        self.n_refused_in_a_row = 0;
+        (self.n_refused_in_a_row, self.n_late_in_a_row) = (0, 0);
         (self.last_seq, self.last_t) = (Some(head.seq), head.t);
         self.look_for_strange_numbers();
         self.look_for_unknown_facts();

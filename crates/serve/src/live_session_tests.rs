@@ -294,6 +294,25 @@ fn numbers_out_of_order_are_dropped_and_gaps_counted() {
 }
 
 #[test]
+fn who_counts_anew_is_told_that_nothing_is_taken() {
+    let mut bench = Bench::open(false, &json!({}));
+    let head = ObservationHead { seq: 1_000, t: 0.2, episode: 0, end: false };
+    bench.send(&head);
+    // One that comes again and again is no older than the newest.
+    (0..2 * MAX_REFUSED).for_each(|_| bench.send(&head));
+    (1..u64::from(MAX_REFUSED)).for_each(|seq| bench.send(&ObservationHead { seq, ..head }));
+    bench.until(1_500);
+    assert!(bench.told_of_messages().is_empty(), "{:?}", bench.told_of_messages());
+    bench.send(&ObservationHead { seq: 16, ..head });
+    bench.until(3_000);
+    let told = bench.told_of_messages().join("; ");
+    let says = "16 observations in a row have numbers below 1000, which was taken, and are passed over: the last has 16; \
+                count on from `last_seq`, or open a new session";
+    assert_eq!(told, says);
+    assert_eq!(bench.session.counts().refused, 0);
+}
+
+#[test]
 fn what_cannot_be_used_is_told_and_sixteen_in_a_row_end_the_session() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe();

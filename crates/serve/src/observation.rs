@@ -62,10 +62,11 @@ pub enum BadObservation {
     #[error("the observation has {found} numbers; {expected} are expected")]
     Length { found: usize, expected: usize },
     #[error(
-        "number {place} of the observation is {value}; allowed: finite, at most 1e9 either way"
+        "number {place} of the observation is {}; allowed: finite, at most 1e9 either way",
+        brief(*value)
     )]
     Number { place: usize, value: f64 },
-    #[error("`t` is {0}; allowed: 0 to 1e9 seconds")]
+    #[error("`t` is {}; allowed: 0 to 1e9 seconds", brief(*.0))]
     Time(f64),
     #[error(
         "`t` went back from {before} to {after}: it is the client's own clock, which only goes on"
@@ -91,6 +92,11 @@ pub enum BadObservation {
     RawLength(usize),
     #[error("an observation of encoding `{}`; known: application/json, application/octet-stream;leadtime.obs/1", quoted(.0))]
     Encoding(String),
+}
+
+/// Writes a number in few digits, however large it is.
+pub(crate) fn brief(x: f64) -> String {
+    if x.abs() < 1e15 { x.to_string() } else { format!("{x:e}") }
 }
 
 // The sentence already contains its cause, so `source()` does not repeat it.
@@ -579,6 +585,7 @@ mod tests {
             (r#"{"seq":1,"t":"now","obs":[1,2]}"#, "`t` has to be the time"),
             (r#"{"seq":1,"t":0,"obs":[1,2],"end":1}"#, "`end` has to be true or false; it is 1"),
             (r#"{"seq":1,"t":-1,"obs":[1,2]}"#, "`t` is -1; allowed: 0 to 1e9 seconds"),
+            (r#"{"seq":1,"t":1e300,"obs":[1,2]}"#, "`t` is 1e300; allowed: 0 to 1e9 seconds"),
             (r#"{"seq":1,"t":0,"obs":[1,2],"ob":1}"#, "`ob` is not known; did you mean `obs`?"),
             (r#"{"seq":1,"seq":2,"t":0,"obs":[1,2]}"#, "`seq` is there twice"),
             (r#"{"seq":1,"t":0,"obs":[1,2]} x"#, "`x` at line 1, column 29 is out of place"),

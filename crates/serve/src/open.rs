@@ -7,6 +7,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use crate::json_fault::{FieldRule, JsonFault, described, no_count, no_number, no_text};
+use crate::observation::brief;
 use crate::robot::ObservationSource;
 use crate::working_policy::{PolicyOrigin, WorkingPolicy, told_voice};
 
@@ -260,7 +261,7 @@ fn require(key: &'static str, value: f64, low: f64, high: f64) -> Result<(), Ope
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    let (given, allowed) = (value.to_string(), format!("{low} to {high} seconds"));
+    let (given, allowed) = (brief(value), format!("{low} to {high} seconds"));
     Err(OpenRefusal::Setting { key, given, allowed })
 }
 

@@ -28,25 +28,28 @@ pub struct WorkerReport {
 pub fn check_worker(workers: &Workers, settings: &PythonSettings) -> Result<WorkerReport, Error> {
     let launch = workers.launch(settings)?;
     let mut shown = Vec::new();
-    let mut versions = Vec::new();
+    let mut report = WorkerReport { n_steps: N_STEPS, versions: Vec::new(), defects: Vec::new() };
     for place in [0, launch.batch - 1] {
         // Neither the process nor the place in it may make a difference.
         let mut link = WorkerLink::start(launch.clone())?;
         let said = &link.hello().world.versions;
-        versions = said.iter().map(|(package, version)| format!("{package} {version}")).collect();
-        shown.push(play(&mut link, place, N_STEPS));
+        report.versions =
+            said.iter().map(|(package, version)| format!("{package} {version}")).collect();
+        match play(&mut link, place, N_STEPS) {
+            Ok(rows) => shown.push(rows),
+            Err(reason) => {
+                // A second one would take as long to fail.
+                report.defects.push(reason);
+                return Ok(report);
+            }
+        }
     }
-    let defects = match (&shown[0], &shown[1]) {
-        (Err(reason), _) | (_, Err(reason)) => vec![reason.clone()],
-        (Ok(first), Ok(second)) => difference(first, second)
-            .map(|(step, what)| {
-                format!(
-                    "two processes differ in {what} after step {step}: the environment does not depend on its seed and its \
-                     actions alone"
-                )
-            })
-            .into_iter()
-            .collect(),
-    };
-    Ok(WorkerReport { n_steps: N_STEPS, versions, defects })
+    let found = difference(&shown[0], &shown[1]).map(|(step, what)| {
+        format!(
+            "two processes differ in {what} after step {step}: the environment does not depend on its seed and its \
+             actions alone"
+        )
+    });
+    report.defects.extend(found);
+    Ok(report)
 }

@@ -13,7 +13,7 @@ use tracing::warn;
 
 use crate::error::Error;
 use crate::launch::WorkerLaunch;
-use crate::process::WorkerProcess;
+use crate::process::{LineLimit, WorkerProcess};
 use crate::protocol::{
     FrameKind, FrameShape, FrameWriter, ProtocolError, StepRow, WorkerHello, read_stepped,
 };
@@ -44,6 +44,8 @@ pub(crate) struct WorkerLink {
     lost: Option<String>,
     frame: FrameWriter,
     rows: Vec<StepRow>,
+    /// Bounds what is logged about steps that are taken again.
+    limit: LineLimit,
 }
 
 impl WorkerLink {
@@ -69,7 +71,15 @@ impl WorkerLink {
             lost: None,
             frame: FrameWriter::default(),
             rows: Vec::new(),
+            limit: LineLimit::new(),
         })
+    }
+
+    /// Tells the worker that nothing more is asked of it.
+    pub(crate) fn let_go(&mut self) {
+        if let Some(process) = &mut self.process {
+            process.let_go();
+        }
     }
 
     /// Returns what the worker has said of itself.
@@ -211,7 +221,13 @@ impl WorkerLink {
         for &place in &self.sent {
             let slot = &mut self.slots[place];
             slot.progress = StepProgress::SentAgain;
-            warn!("environment {}: {}; its step is taken again", slot.seed.env_id, slot.exception);
+            // One that fails now and then does so for as long as the run lasts.
+            if self.limit.admits() {
+                warn!(
+                    "environment {}: {}; its step is taken again",
+                    slot.seed.env_id, slot.exception
+                );
+            }
         }
         let again = self.sent.clone();
         let asked = self.ask_to_begin(&again).and_then(|()| {

@@ -40,6 +40,14 @@ struct SharedWorkers {
     links: Mutex<Vec<SharedLink>>,
 }
 
+impl Drop for SharedWorkers {
+    fn drop(&mut self) {
+        // All at once, before the first of them is waited for.
+        let links = self.links.get_mut().unwrap_or_else(PoisonError::into_inner);
+        links.iter().for_each(|link| lock(link).let_go());
+    }
+}
+
 /// A link as several environments share it.
 pub(crate) type SharedLink = Arc<Mutex<WorkerLink>>;
 

@@ -5,6 +5,7 @@
 
 use std::collections::VecDeque;
 use std::io::{self, BufRead as _, BufReader, PipeReader, Read as _, Write as _};
+use std::net::Shutdown;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::process::{ChildStdin, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -38,6 +39,8 @@ const KEPT_LINES: usize = 20;
 const LINES_PER_SECOND: u32 = 40;
 /// How long a dead worker's last words are waited for.
 const LAST_WORDS: Duration = Duration::from_millis(500);
+/// How long a worker that is no longer needed may close its environments.
+const CLOSING: Duration = Duration::from_secs(1);
 /// The longest temporary directory that leaves room for a socket's name.
 const MAX_BASE_BYTES: usize = 60;
 
@@ -63,7 +66,7 @@ impl LineLimit {
     }
 }
 
-/// A running worker; dropping it kills its group.
+/// A running worker; dropping it lets it close its environments, and kills its group.
 #[derive(Debug)]
 pub(crate) struct WorkerProcess {
     child: Box<dyn ChildWrapper>,
@@ -166,11 +169,18 @@ impl WorkerProcess {
         self.reader.answer(kind, most, timeout, patience, aside).map(<[u8]>::to_vec)
     }
 
+    /// Tells the worker that nothing more is asked: it closes its environments and ends.
+    pub(crate) fn let_go(&mut self) {
+        if let Err(error) = self.writer.shutdown(Shutdown::Write) {
+            debug!(%error, "a worker's connection was closed already");
+        }
+    }
+
     /// Kills the worker and says how it ended: what was noticed, and its last words.
     pub(crate) fn end(mut self, noticed: &ProtocolError) -> String {
         let ended = match noticed {
             // It takes a moment from closing the connection to being gone.
-            ProtocolError::Closed => wait_for_end(self.child.as_mut()),
+            ProtocolError::Closed => wait_for_end(self.child.as_mut(), LAST_WORDS),
             _ => None,
         };
         kill(self.child.as_mut());
@@ -181,8 +191,10 @@ impl WorkerProcess {
 
 impl Drop for WorkerProcess {
     fn drop(&mut self) {
-        self.lifeline = None;
         if !self.is_over {
+            self.let_go();
+            drop(wait_for_end(self.child.as_mut(), CLOSING));
+            self.lifeline = None;
             kill(self.child.as_mut());
         }
     }
@@ -197,9 +209,9 @@ fn kill(child: &mut dyn ChildWrapper) {
     }
 }
 
-/// Waits a moment for the end of a process, and says how it ended.
-fn wait_for_end(child: &mut dyn ChildWrapper) -> Option<String> {
-    let deadline = Instant::now() + LAST_WORDS;
+/// Waits so long for the end of a process, and says how it ended.
+fn wait_for_end(child: &mut dyn ChildWrapper, patience: Duration) -> Option<String> {
+    let deadline = Instant::now() + patience;
     loop {
         match child.try_wait() {
             Ok(Some(status)) => return Some(format!("it ended ({status})")),

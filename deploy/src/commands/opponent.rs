@@ -55,5 +55,9 @@ fn stem(name: &Path) -> String {
 fn read(file: &Path) -> anyhow::Result<Script> {
     let text = regular::read_to_string(file);
     let text = text.with_context(|| format!("reading {}", file.display()))?;
-    Script::read(&text).with_context(|| format!("script {}", file.display()))
+    let script = Script::read(&text).with_context(|| format!("script {}", file.display()))?;
+    for oddity in script.oddities() {
+        tracing::warn!("script {}: {oddity}", file.display());
+    }
+    Ok(script)
 }

@@ -1,6 +1,6 @@
 //! `leadtime serve`: a policy at work, speaking to robots, cars and simulators over the network.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -229,19 +229,29 @@ fn schema(policy: &WorkingPolicy) -> Value {
 
 /// A directory with a file for every client.
 #[derive(Debug)]
-struct StateDirectory(PathBuf);
+struct StateDirectory {
+    path: PathBuf,
+    /// Held as long as the notifier works: another one would write its sessions over ours.
+    _lock: File,
+}
 
 impl StateDirectory {
     fn open(path: &Path) -> anyhow::Result<Arc<dyn StateStore>> {
         fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
-        let probe = path.join(".probe");
-        let written = fs::write(&probe, b"").and_then(|()| fs::remove_file(&probe));
-        written.with_context(|| format!("cannot write into {}", path.display()))?;
-        Ok(Arc::new(Self(path.to_owned())))
+        let unwritten = || format!("cannot write into {}", path.display());
+        let lock = File::create(path.join(".lock")).with_context(unwritten)?;
+        match lock.try_lock() {
+            Ok(()) => Ok(Arc::new(Self { path: path.to_owned(), _lock: lock })),
+            Err(TryLockError::WouldBlock) => Err(anyhow::anyhow!(
+                "{} is another notifier's that is at work: give each a directory of its own",
+                path.display()
+            )),
+            Err(TryLockError::Error(error)) => Err(error).with_context(unwritten),
+        }
     }
 
     fn file(&self, client: &ClientName) -> PathBuf {
-        self.0.join(format!("{client}.session"))
+        self.path.join(format!("{client}.session"))
     }
 }
 

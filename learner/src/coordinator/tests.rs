@@ -382,6 +382,7 @@ fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_befor
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
     c.joined(actor("a"), Incarnation(1));
+    answer(&mut c, "a");
     assert_eq!(c.books().rolled_back, 5);
     send(&mut c, "a", 6, 100, &rollout(0, 5, 5));
     send(&mut c, "a", 7, 100, &rollout(0, 0, 0));
@@ -493,6 +494,9 @@ fn a_name_is_taken_for_as_long_as_its_actor_is_there() {
     assert!(assignments(&mut c).is_empty(), "the first goes on undisturbed");
     c.left(actor("a"), Incarnation(1));
     assert_eq!(c.hello(&second), Ok(Sequence(1)));
+    let key = (actor("a"), Incarnation(2));
+    let membership = c.roster.membership(&key).unwrap();
+    c.answered(&key, membership);
     assert_eq!(assignments(&mut c).len(), 1);
     assert_eq!(c.hello(&hello("a", 0, 1)), Err(HelloRefusal::Taken), "the first is too late");
 }
@@ -765,7 +769,7 @@ fn who_was_lost_is_a_member_again_when_it_has_said_hello() {
 /// Returns the membership of the only assignment that is to be sent.
 fn membership(coordinator: &mut Coordinator) -> MembershipNumber {
     let memberships = told(coordinator, |effect| match effect {
-        Effect::Control { membership, .. } => Some(membership),
+        Effect::Control { membership, control: Control::Assign(_), .. } => Some(membership),
         _ => None,
     });
     let [membership] = memberships[..] else { panic!("{memberships:?}") };

@@ -1,6 +1,7 @@
 //! What the person names on the command line (plans, databases, directories), and whose fault it is if that fails.
 
 use std::path::Path;
+use std::{fs, io};
 
 use anyhow::Context as _;
 use leadtime_config::{Layer, Override};
@@ -58,9 +59,13 @@ pub(in crate::commands) fn database(name: &Path) -> Result<Taxonomy, Failure> {
     if let Some(domain) = shipped_domain(name) {
         return shipped(domain).blame(ExitCode::Failed);
     }
-    let text = std::fs::read_to_string(name)
-        .with_context(|| unknown("database", name))
-        .blame(ExitCode::WrongInput)?;
+    let text = fs::read_to_string(name).map_err(|error| {
+        if error.kind() == io::ErrorKind::NotFound {
+            return Failure::input(unknown("database", name));
+        }
+        let told = format!("the database {} cannot be read", name.display());
+        Failure::of(ExitCode::WrongInput, anyhow::Error::new(error).context(told))
+    })?;
     job::database(&text).with_context(|| name.display().to_string()).blame(ExitCode::WrongInput)
 }
 
