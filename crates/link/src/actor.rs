@@ -394,7 +394,7 @@ impl ActorLink {
                 Ok(_) => debug!("credit of another learner, or for another start of this actor"),
                 // What is for an earlier start of this actor cannot be checked by this one.
                 Err(refusal) if refusal.cause == RefusalCause::Proof => {
-                    debug!(%refusal, "credit refused")
+                    debug!(%refusal, "credit refused");
                 }
                 Err(refusal) => warn!(%refusal, "credit refused"),
             }

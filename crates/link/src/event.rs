@@ -17,7 +17,7 @@ pub enum LearnerEvent {
         /// The checked message.
         hello: Hello,
         /// Where to answer.
-        reply: HelloResponder,
+        reply: Box<HelloResponder>,
     },
     /// A rollout that passed [`leadtime_proto::receive::inspect`]; duplicate check, then
     /// [`leadtime_proto::receive::open`], are the consumer's.

@@ -340,7 +340,7 @@ fn on_hello(intake: &RolloutIntake, answers: &Answers, mut query: Query) {
         }
         Ok((key, hello)) => {
             let reply = Responder::new(query, answers, Schema::HelloReply, key);
-            let reply = HelloResponder::new(reply, &intake.admitted, &hello);
+            let reply = Box::new(HelloResponder::new(reply, &intake.admitted, &hello));
             if intake.events.offer(LearnerEvent::Hello { hello, reply }, Class::Request).is_some() {
                 intake.count(None, RefusalCause::Overflow);
             }

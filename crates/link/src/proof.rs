@@ -173,13 +173,13 @@ impl Keyring {
         header: &Header,
         message: &'a [u8],
     ) -> Result<(Arc<PeerKey>, &'a [u8]), Refusal> {
-        let (body, public, tag) = split::<{ blake3::OUT_LEN }>(header, message)?;
+        let MessageParts { body, public, made } = MessageParts::split(header, message)?;
         let key = match self.of(header.incarnation) {
             Some(key) => key,
             None => self.meet(&readable(public)?),
         };
         // The comparison of two hashes takes the same time wherever they differ.
-        if key.tag(header, body) == *tag { Ok((key, body)) } else { Err(refused()) }
+        if key.tag(header, body) == *made { Ok((key, body)) } else { Err(refused()) }
     }
 
     /// Does the same for a hello, which is signed: its sender does not know our key yet. One that is not newer than the
@@ -243,24 +243,31 @@ pub(crate) fn check_signed<'a>(
     header: &Header,
     message: &'a [u8],
 ) -> Result<(VerifyingKey, &'a [u8]), Refusal> {
-    let (body, public, signature) = split::<{ Signature::BYTE_SIZE }>(header, message)?;
+    let MessageParts { body, public, made } = MessageParts::split(header, message)?;
     let public = readable(public)?;
     let signed = digest(blake3::Hasher::new(), header, body);
-    let checked = public.verify_strict(signed.as_bytes(), &Signature::from_bytes(signature));
+    let checked = public.verify_strict(signed.as_bytes(), &Signature::from_bytes(made));
     checked.map_err(|_forged| refused())?;
     Ok((public, body))
 }
 
-/// Splits a message into its body, the sender's public key, and `N` bytes made with the secret one.
-fn split<'a, const N: usize>(
-    header: &Header,
-    message: &'a [u8],
-) -> Result<(&'a [u8], &'a [u8; KEY_BYTES], &'a [u8; N]), Refusal> {
-    let parts = message.split_last_chunk::<N>().and_then(|(rest, made)| {
-        let (body, public) = rest.split_last_chunk::<KEY_BYTES>()?;
-        Some((body, public, made))
-    });
-    parts.filter(|(_, public, _)| number(*public) == header.incarnation).ok_or_else(refused)
+/// A message in its parts.
+struct MessageParts<'a, const N: usize> {
+    body: &'a [u8],
+    /// The public key of its sender, whose digest is the number in the header.
+    public: &'a [u8; KEY_BYTES],
+    /// What its sender made with the secret one.
+    made: &'a [u8; N],
+}
+
+impl<'a, const N: usize> MessageParts<'a, N> {
+    fn split(header: &Header, message: &'a [u8]) -> Result<Self, Refusal> {
+        let parts = message.split_last_chunk::<N>().and_then(|(rest, made)| {
+            let (body, public) = rest.split_last_chunk::<KEY_BYTES>()?;
+            Some(Self { body, public, made })
+        });
+        parts.filter(|parts| number(parts.public) == header.incarnation).ok_or_else(refused)
+    }
 }
 
 /// Reads a public key; with a weak one anybody could make proofs.

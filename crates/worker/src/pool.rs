@@ -44,7 +44,9 @@ impl Drop for SharedWorkers {
     fn drop(&mut self) {
         // All at once, before the first of them is waited for.
         let links = self.links.get_mut().unwrap_or_else(PoisonError::into_inner);
-        links.iter().for_each(|link| lock(link).let_go());
+        for link in links.iter() {
+            lock(link).let_go();
+        }
     }
 }
 

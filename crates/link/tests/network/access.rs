@@ -12,7 +12,7 @@ use leadtime_link::{
     ObserverLink, RouterLink,
 };
 use leadtime_proto::message::{Control, ControlReply, Credit};
-use leadtime_proto::{Epoch, Incarnation, PolicyVersion, Sequence};
+use leadtime_proto::{Epoch, Incarnation, PolicyVersion, RefusalCause, Sequence};
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 

@@ -11,6 +11,9 @@ use zenoh::qos::CongestionControl;
 
 use crate::support::*;
 
+/// An attachment, a payload, and why they are refused.
+type Case<'a> = (Option<Vec<u8>>, &'a [u8], RefusalCause);
+
 /// Bytes behind a rollout that prove whose it is.
 const TAG_PROOF_BYTES: usize = 64;
 
@@ -57,7 +60,7 @@ async fn what_is_no_rollout_is_refused_with_its_cause_before_it_is_read() {
         (Some(good.to_vec()), &huge, RefusalCause::Oversize),
         (Some(good.to_vec()), &unproved, RefusalCause::Stranger),
     ];
-    let refuses = async |cases: &[(Option<Vec<u8>>, &[u8], RefusalCause)]| {
+    let refuses = async |cases: &[Case<'_>]| {
         for (attachment, payload, cause) in cases {
             put(&intruder, &key, attachment.clone(), payload).await;
             let (actor, refusal) = refused(&events).await;
