@@ -9,7 +9,7 @@ use std::ffi::OsString;
 use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use anyhow::Context as _;
@@ -54,12 +54,8 @@ fn shown(text: &str) -> String {
 /// What is no file, such as `/dev/stdout` or a pipe, takes the content; it is not replaced. Of a link, what it leads to is
 /// replaced.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let written = if is_stream(path) {
-        pour(path, bytes)
-    } else {
-        let meant = if path.is_symlink() { path.canonicalize().ok() } else { None };
-        write_atomically(meant.as_deref().unwrap_or(path), bytes)
-    };
+    let written =
+        if is_stream(path) { pour(path, bytes) } else { write_atomically(&meant(path), bytes) };
     written.with_context(|| format!("writing {}", path.display()))
 }
 
@@ -68,9 +64,16 @@ pub(crate) fn check_file(path: &Path) -> anyhow::Result<()> {
     if is_stream(path) {
         return Ok(());
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let meant = meant(path);
+    let folder = meant.parent().filter(|folder| !folder.as_os_str().is_empty());
     let tried = tempfile::tempfile_in(folder.unwrap_or(Path::new(".")));
     tried.map(|_file| ()).with_context(|| format!("writing {}", path.display()))
+}
+
+/// Returns what a path leads to, if it is a link.
+fn meant(path: &Path) -> PathBuf {
+    let target = if path.is_symlink() { path.canonicalize().ok() } else { None };
+    target.unwrap_or_else(|| path.to_owned())
 }
 
 /// Tells whether a path leads to what takes bytes and stays: a pipe, a device, what a process has open.
@@ -82,8 +85,14 @@ fn is_stream(path: &Path) -> bool {
 
 /// Adds bytes to a stream; one whose reader is gone has what it wanted.
 fn pour(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut stream = File::options().append(true).open(path)?;
-    match stream.write_all(bytes) {
+    let own = |stream: &mut dyn io::Write| stream.write_all(bytes).and_then(|()| stream.flush());
+    let written = match path.to_str() {
+        // Where a file is behind it, bytes that came another way would be written over by whoever writes there next.
+        Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") => own(&mut io::stdout().lock()),
+        Some("/dev/stderr" | "/dev/fd/2" | "/proc/self/fd/2") => own(&mut io::stderr().lock()),
+        _ => own(&mut File::options().append(true).open(path)?),
+    };
+    match written {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         written => written,
     }
@@ -185,6 +194,18 @@ mod tests {
         file(&link, b"new").unwrap();
         assert!(link.is_symlink());
         assert_eq!(fs::read_to_string(&real).unwrap(), "new");
+    }
+
+    #[test]
+    fn a_link_is_checked_where_it_leads() {
+        let place = tempfile::tempdir().unwrap();
+        let (folder, link) = (place.path().join("folder"), place.path().join("link.txt"));
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("real.txt"), "old").unwrap();
+        symlink(folder.join("real.txt"), &link).unwrap();
+        assert_eq!(meant(&link), folder.join("real.txt").canonicalize().unwrap());
+        assert_eq!(meant(&folder), folder);
+        check_file(&link).unwrap();
     }
 
     #[test]
