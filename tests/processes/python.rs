@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::process::Command;
+use std::time::Duration;
 
 use crate::support::{
     Finished, PATIENCE, Place, arguments, children, repository, result, signal, updates,
@@ -145,6 +146,22 @@ fn environments_are_closed_when_a_run_is_over() {
     train(&place, "closes", &format!("closes {flag}"), "");
     let closed = format!("{flag}.closed");
     assert!(fs::exists(&closed).unwrap(), "the worker was killed before it had closed anything");
+}
+
+#[test]
+fn workers_that_never_close_are_waited_for_together_and_not_one_after_the_other() {
+    let place = Place::new();
+    let file = config(&place, "n", "never-closes", &format!("{SPEC}\nbatch = 1"));
+    let (at, long) =
+        (place.endpoint("n"), "--set learner.n_envs=8 --set learner.total_steps=2560000");
+    let learner = place.start(&["learner --name n --listen", &at, "-c", &file, long]);
+    wait_for_words(&learner, "run opened");
+    let actor = place.start(&["actor --trust-worker --workers 8 --connect", &at]);
+    wait_for_updates(&place.run("n"), 2);
+    assert_eq!(workers_of(actor.id()).len(), 8);
+    signal("TERM", actor.id());
+    actor.finish(Duration::from_secs(4));
+    learner.kill();
 }
 
 #[test]

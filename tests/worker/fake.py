@@ -94,6 +94,8 @@ def main():
             if MODE == "closes":
                 time.sleep(0.2)
                 os.rename(FILE, FILE + ".closed")
+            if MODE == "never-closes":
+                time.sleep(600)
             return
         length, kind = struct.unpack("<IB", header)
         body = incoming.read(length)

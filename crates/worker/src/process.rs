@@ -76,6 +76,8 @@ pub(crate) struct WorkerProcess {
     writer: UnixStream,
     words: Words,
     limit: LineLimit,
+    /// Until when it may close its environments, once it was told that nothing more is asked.
+    closes_by: Option<Instant>,
     /// It was killed; its number may be another's by now.
     is_over: bool,
 }
@@ -123,8 +125,8 @@ impl WorkerProcess {
         let writer = stream.try_clone()?;
         let reader = FrameReader::new(stream);
         let limit = LineLimit::new();
-        let is_over = false;
-        let mut worker = Self { child, lifeline, reader, writer, words, limit, is_over };
+        let (closes_by, is_over) = (None, false);
+        let mut worker = Self { child, lifeline, reader, writer, words, limit, closes_by, is_over };
         let (kind, patience) = (FrameKind::Hello, launch.start_timeout());
         let hello = worker.answer(kind, MAX_HELLO_BYTES, patience, patience, |_, _| {});
         Ok(match hello.and_then(|body| read_hello(&body)) {
@@ -169,18 +171,22 @@ impl WorkerProcess {
         self.reader.answer(kind, most, timeout, patience, aside).map(<[u8]>::to_vec)
     }
 
-    /// Tells the worker that nothing more is asked: it closes its environments and ends.
-    pub(crate) fn let_go(&mut self) {
+    /// Tells the worker that nothing more is asked: it closes its environments and ends. Returns until when it may do so.
+    pub(crate) fn let_go(&mut self) -> Instant {
+        if let Some(told) = self.closes_by {
+            return told;
+        }
         if let Err(error) = self.writer.shutdown(Shutdown::Write) {
             debug!(%error, "a worker's connection was closed already");
         }
+        *self.closes_by.insert(Instant::now() + CLOSING)
     }
 
     /// Kills the worker and says how it ended: what was noticed, and its last words.
     pub(crate) fn end(mut self, noticed: &ProtocolError) -> String {
         let ended = match noticed {
             // It takes a moment from closing the connection to being gone.
-            ProtocolError::Closed => wait_for_end(self.child.as_mut(), LAST_WORDS),
+            ProtocolError::Closed => wait_for_end(self.child.as_mut(), Instant::now() + LAST_WORDS),
             _ => None,
         };
         kill(self.child.as_mut());
@@ -192,8 +198,8 @@ impl WorkerProcess {
 impl Drop for WorkerProcess {
     fn drop(&mut self) {
         if !self.is_over {
-            self.let_go();
-            drop(wait_for_end(self.child.as_mut(), CLOSING));
+            let closes_by = self.let_go();
+            drop(wait_for_end(self.child.as_mut(), closes_by));
             self.lifeline = None;
             kill(self.child.as_mut());
         }
@@ -209,9 +215,8 @@ fn kill(child: &mut dyn ChildWrapper) {
     }
 }
 
-/// Waits so long for the end of a process, and says how it ended.
-fn wait_for_end(child: &mut dyn ChildWrapper, patience: Duration) -> Option<String> {
-    let deadline = Instant::now() + patience;
+/// Waits for the end of a process, and says how it ended; `None` if it has not by then.
+fn wait_for_end(child: &mut dyn ChildWrapper, deadline: Instant) -> Option<String> {
     loop {
         match child.try_wait() {
             Ok(Some(status)) => return Some(format!("it ended ({status})")),
