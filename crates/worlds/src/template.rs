@@ -19,9 +19,9 @@ const TAKEN: [&str; 11] = [
     "examples",
     "incremental",
 ];
-/// The words of Rust's own, of which Cargo makes no crate.
+/// The words of Rust's own, of which Cargo makes no crate, or a world could not name its own.
 const KEYWORDS: &str = "abstract as async await become box break const continue crate do dyn else enum extern false final fn \
-                        for if impl in let loop macro match mod move mut override priv pub ref return self static struct \
+                        for gen if impl in let loop macro match mod move mut override priv pub ref return self static struct \
                         super trait true try type typeof unsafe unsized use virtual where while yield";
 /// What the names of Leadtime's own crates begin with, some of which this one depends on.
 const OWN: [&str; 2] = ["leadtime-", "leadtime_"];
@@ -142,7 +142,7 @@ mod tests {
     fn an_impossible_name_is_refused() {
         let long = "a".repeat(65);
         let used = ["leadtime", "leadtime-sims", "leadtime_numerics", "serde", "test", "deps"];
-        let words = ["fn", "self", "yield"];
+        let words = ["fn", "gen", "self", "yield"];
         for name in ["", "3d", "Grid", "a b", "../x", &long].into_iter().chain(used).chain(words) {
             let error = template(name, LeadtimeSource::Repository).unwrap_err().to_string();
             assert!(
