@@ -1,5 +1,6 @@
 //! A race of several seeds: who is stopped, who wins, and that neither a race nor its interruption changes a run.
 
+use std::fs;
 use std::time::Duration;
 
 use crate::support::{
@@ -7,7 +8,6 @@ use crate::support::{
     wait_until,
 };
 use serde_json::Value;
-use std::fs;
 
 /// Three racers of 20 updates, of whom one goes on after five.
 const RACE: &str = "race -c cartpole --racers 3 --name q --actors 1 --episodes 10 --set learner.n_steps=64 \

@@ -133,7 +133,7 @@ impl Script {
             }
             let is_free = |it: &ScriptCondition| it.above.is_none() && it.below.is_none();
             if rule.when.iter().all(is_free) && n < self.rules.len() {
-                found.push(format!("no rule behind rule {n} is ever asked: it always holds"));
+                found.push(format!("no rule after rule {n} is ever asked: it always holds"));
                 break;
             }
         }
@@ -149,7 +149,7 @@ impl Script {
     /// Writes a file: the rules, and `section`, in which its author says where they are from.
     pub fn file(&self, section: &str) -> String {
         let rules = self.toml();
-        // Without rules their key must stand before the section: behind it, the key would be one of the section's.
+        // Without rules their key must stand before the section: after it, the key would be one of the section's.
         if self.rules.is_empty() {
             format!("{rules}\n{section}")
         } else {
@@ -282,7 +282,7 @@ say = { topic = "descend", k = 2, l = 2 }
         let says = [
             "rule 1 never holds: no y is at least 1 and below 0.5",
             "rule 2: its condition on x has neither `above` nor `below`, and always holds",
-            "no rule behind rule 2 is ever asked: it always holds",
+            "no rule after rule 2 is ever asked: it always holds",
         ];
         assert_eq!(Script::read(text).unwrap().oddities(), says);
     }
