@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::net::TcpListener;
+use std::process::Command;
 
 use crate::support::{Finished, PATIENCE, Place, repository};
 
@@ -259,6 +260,10 @@ fn a_wrong_database_is_told_by_line_or_sentence() {
     fs::write(place.path().join("bytes.toml"), [0xff, 0xfe]).unwrap();
     let unread = taxonomy(&place, &["validate bytes.toml"]).with_code(WRONG_INPUT);
     unread.saying(&["the database bytes.toml cannot be read", "UTF-8"]);
+    let pipe = place.file("pipe.toml");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let refused = taxonomy(&place, &["validate pipe.toml"]).with_code(WRONG_INPUT);
+    refused.saying(&["the database pipe.toml cannot be read", "pipe.toml is not a file"]);
 }
 
 #[test]

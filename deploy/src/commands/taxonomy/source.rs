@@ -1,11 +1,12 @@
 //! What the person names on the command line (plans, databases, directories), and whose fault it is if that fails.
 
+use std::io;
 use std::path::Path;
-use std::{fs, io};
 
 use anyhow::Context as _;
 use leadtime_config::{Layer, Override};
 use leadtime_proto::phrase::no_such;
+use leadtime_runs::regular;
 use leadtime_taxonomy::pipeline::error::BackendError;
 use leadtime_taxonomy::pipeline::{DatabasePlan, PipelineError, job};
 use leadtime_taxonomy::{Taxonomy, shipped};
@@ -59,7 +60,7 @@ pub(in crate::commands) fn database(name: &Path) -> Result<Taxonomy, Failure> {
     if let Some(domain) = shipped_domain(name) {
         return shipped(domain).blame(ExitCode::Failed);
     }
-    let text = fs::read_to_string(name).map_err(|error| {
+    let text = regular::read_to_string(name).map_err(|error| {
         if error.kind() == io::ErrorKind::NotFound {
             return Failure::input(unknown("database", name));
         }
