@@ -61,7 +61,8 @@ fn a_log_filter_that_does_not_parse_is_refused() {
 fn a_file_behind_standard_output_takes_what_is_written_in_order() {
     let place = Place::new();
     let mut shell = Command::new("sh");
-    let script = "\"$0\" script-search lander --steps 2000 --episodes 4 --json -o /dev/stdout; echo done";
+    let script =
+        "\"$0\" script-search lander --steps 2000 --episodes 4 --json -o /dev/stdout; echo done";
     shell.current_dir(place.path()).args(["-c", script, env!("CARGO_BIN_EXE_leadtime")]);
     let told = place.start_with(shell).finish(PATIENCE).with_code(0).stdout;
     assert!(told.starts_with('{') && told.contains("\n[search]\n"), "{told}");
