@@ -19,7 +19,8 @@ use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
 use leadtime_proto::message::{Control, Credit, Hello, HelloReply, Welcome};
 use leadtime_proto::receive::{CONTROL, CREDIT, HELLO_REPLY};
 use leadtime_proto::{
-    ActorId, DomainName, Header, PolicyVersion, RefusalCause, RegionName, RunName, Sequence,
+    ActorId, DomainName, Header, PolicyVersion, Refusal, RefusalCause, RegionName, RunName,
+    Sequence,
 };
 use tracing::{debug, info, warn};
 use zenoh::Wait as _;
@@ -27,7 +28,7 @@ use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
-use zenoh::sample::SampleKind;
+use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
@@ -42,6 +43,7 @@ use crate::proof::{self, Keyring, PeerKey, StartKey};
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
 use crate::redial::ClientSession;
+use crate::wire::ProvedMessage;
 use crate::{ConnectSettings, ControlResponder, Error, Result, session, weights, wire};
 
 /// Threads that answer orders; there is one learner to answer.
@@ -152,6 +154,7 @@ impl ActorLink {
     /// * [`Error::SeveralRuns`] if none was named and several are there.
     /// * [`Error::RunNotFound`] if only others than the named one are there.
     /// * [`Error::Refused`] if the learner does not want this actor, for instance for its protocol version.
+    /// * [`Error::Rejected`] if somebody says so who proves nothing, and this actor has been welcome before.
     /// * [`Error::Ending`] if the run has dismissed its actors.
     /// * [`Error::Taken`] if another start of an actor of this name is there.
     /// * [`Error::NoAnswer`] if a learner is there but does not answer in time.
@@ -184,8 +187,13 @@ impl ActorLink {
                 qos: wire::CONTROL,
                 timeout: timeout.saturating_sub(started.elapsed()).min(HELLO_WAIT),
             };
-            let anyone = |_| true;
-            match ask_for(&self.session(), question, HELLO_REPLY, &self.keys, anyone).await? {
+            let before = lock(&self.learner).as_ref().map(|learner| learner.peer);
+            // Anybody may answer, and be faster. The learner that this actor works for has the first word.
+            let is_best = |(learner, _): &(Arc<PeerKey>, HelloReply)| {
+                before.is_none_or(|before| before == learner.peer)
+            };
+            let read = |sample: &Sample| read_answer(&self.keys, number, sample);
+            match ask_for(&self.session(), question, read, is_best).await? {
                 // The presence of a killed actor lasts a moment longer than the actor.
                 InquiryEnd::Good((_, HelloReply::Taken))
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
@@ -194,6 +202,10 @@ impl ActorLink {
                     tokio::time::sleep(RETRY.1).await;
                 }
                 InquiryEnd::Good((learner, reply)) => return self.answered(run, learner, reply),
+                // It proves nothing, so it ends nobody who has a learner that may come back.
+                InquiryEnd::Rejected(reason) if before.is_some() => {
+                    return Err(Error::Rejected { key, reason });
+                }
                 InquiryEnd::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
                 }
@@ -386,7 +398,7 @@ impl ActorLink {
         let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
             let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
             match wire::unseal::<Credit>(attachment, payload, CREDIT, &keys) {
-                Ok((learner, credit))
+                Ok(ProvedMessage { key: learner, message: credit, .. })
                     if credit.incarnation == incarnation && credit.learner == learner.peer =>
                 {
                     latest.put(&format!("credit/{}", credit.learner), ActorEvent::Credit(credit));
@@ -463,6 +475,18 @@ impl ActorLink {
     }
 }
 
+/// Reads the answer to the hello with this number, and whose it is.
+fn read_answer(
+    keys: &Keyring,
+    number: Sequence,
+    sample: &Sample,
+) -> Result<(Arc<PeerKey>, HelloReply), Refusal> {
+    let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
+    let answer = wire::unseal::<HelloReply>(attachment, payload, HELLO_REPLY, keys)?;
+    wire::answers(number, answer.number)?;
+    Ok((answer.key, answer.message))
+}
+
 fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, mut query: Query) {
     let say_no = |query, reason| answers.give(PendingReply::Refusal(query, reason));
     let meant_for = query.parameters().get(INCARNATION).and_then(|text| text.parse().ok());
@@ -471,10 +495,10 @@ fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, 
     }
     let order = wire::unseal::<Control>(query.attachment(), query.payload(), CONTROL, keys);
     unload(&mut query);
-    match order.and_then(|(key, order)| order.check().map(|()| (key, order))) {
-        Ok((key, control)) => {
-            let learner = key.peer;
-            let reply = ControlResponder::new(query, answers, Schema::ControlReply, key);
+    match order.and_then(|order| order.message.check().map(|()| order)) {
+        Ok(order) => {
+            let reply = ControlResponder::new(query, answers, Schema::ControlReply, &order);
+            let (learner, control) = (order.key.peer, order.message);
             // An order that does not fit ends without an answer; the learner gives it again.
             drop(events.offer(ActorEvent::Control { learner, control, reply }, Class::Request));
         }
