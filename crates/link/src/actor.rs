@@ -98,7 +98,7 @@ pub struct ActorLink {
     /// Counts hellos, so that a copy of one is known.
     n_hellos: AtomicU64,
     /// What is shared with the learner that welcomed this actor last.
-    learner: Mutex<Option<Arc<PeerKey>>>,
+    learner: Arc<Mutex<Option<Arc<PeerKey>>>>,
     events: EventQueue<ActorEvent>,
     presence: EventQueue<ActorEvent>,
     latest: Arc<Latest<ActorEvent>>,
@@ -132,7 +132,7 @@ impl ActorLink {
             actor: actor.clone(),
             keys: Arc::new(Keyring::new(start.clone())),
             n_hellos: AtomicU64::new(0),
-            learner: Mutex::default(),
+            learner: Arc::default(),
             events,
             presence: receiver.part_presence(),
             latest,
@@ -395,7 +395,11 @@ impl ActorLink {
             on_order(&events, &answers, &keys, query);
         })?;
         let (latest, keys) = (Arc::clone(&self.latest), Arc::clone(&self.keys));
+        let ours = Arc::clone(&self.learner);
         let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
+            if is_anothers(&ours, &sample) {
+                return;
+            }
             let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
             match wire::unseal::<Credit>(attachment, payload, CREDIT, &keys) {
                 Ok(ProvedMessage { key: learner, message: credit, .. })
@@ -444,8 +448,9 @@ impl ActorLink {
                     let (key, source) = (Key::Hello(&run).to_string(), proof::refused());
                     return Err(Error::BadAnswer { key, source });
                 }
-                self.enter(run, DomainName::new(welcome.spec.task.domain.clone())?)?;
+                let domain = DomainName::new(welcome.spec.task.domain.clone())?;
                 *lock(&self.learner) = Some(learner);
+                self.enter(run, domain)?;
                 Ok(*welcome)
             }
         }
@@ -461,18 +466,31 @@ impl ActorLink {
         let session = &self.session();
         let rollouts = pubsub::publisher(session, key, wire::BULK, Encoding::default())?;
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
-        let announcements =
-            subscribe(session, key, move |sample| match weights::read_announcement(&sample) {
+        let ours = Arc::clone(&self.learner);
+        let announcements = subscribe(session, key, move |sample| {
+            if is_anothers(&ours, &sample) {
+                return;
+            }
+            match weights::read_announcement(&sample) {
                 Ok(news) => {
                     let key = format!("weights/{}", news.learner);
                     latest.put(&key, ActorEvent::Announcement(news));
                 }
                 Err(refusal) => warn!(%refusal, "announcement refused"),
-            })?;
+            }
+        })?;
         *entered =
             Some(Arc::new(Membership { run, domain, rollouts, _announcements: announcements }));
         Ok(())
     }
+}
+
+/// Tells whether a message says to come from another learner than ours: it is of no use, and a proof costs more to check than to
+/// invent.
+fn is_anothers(ours: &Mutex<Option<Arc<PeerKey>>>, sample: &Sample) -> bool {
+    let ours = lock(ours).as_ref().map(|learner| learner.peer);
+    let header = sample.attachment().and_then(|bytes| Header::from_bytes(&bytes.to_bytes()).ok());
+    ours.zip(header).is_some_and(|(ours, header)| header.incarnation != ours)
 }
 
 /// Reads the answer to the hello with this number, and whose it is.

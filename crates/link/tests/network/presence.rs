@@ -135,3 +135,25 @@ async fn a_no_that_proves_nothing_turns_away_only_who_was_never_welcome() {
     let (answer, ()) = tokio::join!(newcomer.hello(None, &said, SOON), say_no());
     assert!(matches!(answer.unwrap_err(), Error::Refused { reason, .. } if reason == "go away"));
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_hears_the_news_of_its_own_learner_alone() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let through =
+        ListenSettings { connect: vec![site.endpoint.clone()], ..ListenSettings::new(Vec::new()) };
+    let other = StartKey::numbered(101);
+    let (rival, _rival_events) =
+        LearnerLink::open(&run("one"), DOMAIN, &other, &through).await.unwrap();
+    hear_of(&actor_events, other.incarnation(), true).await;
+    for version in 1..=3 {
+        rival.offer_weights(PolicyVersion(version), b"forged".as_slice().into()).unwrap();
+    }
+    learner.offer_weights(PolicyVersion(1), b"own".as_slice().into()).unwrap();
+    let news = until(&actor_events, |event| match event {
+        ActorEvent::Announcement(news) => Some(news),
+        _ => None,
+    });
+    assert_eq!(news.await, learner.announcement());
+}
