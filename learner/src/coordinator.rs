@@ -196,7 +196,7 @@ impl Coordinator {
         if self.roster.is_taken(&key) {
             return Err(HelloRefusal::Taken);
         }
-        // Before `greet`: only the first hello of a start may report rollouts that a killed learner took with it.
+        // Before `greet`: who has answered an order here has no rollouts to report that a killed learner took with it.
         let acknowledged = self.acknowledged(&key, hello)?;
         let was_member = self.roster.is_member(&key);
         let build = Build { program: hello.program.clone(), cpu: hello.cpu.clone() };
@@ -230,8 +230,8 @@ impl Coordinator {
 
     /// Returns what a learner of this run has acknowledged to an actor, if that can be true.
     ///
-    /// What exceeds the number that this learner received was lost with a killed predecessor: an actor reports
-    /// that once, in its first hello.
+    /// What exceeds the number that this learner received was lost with a killed predecessor: an actor reports that before it
+    /// answers an order. Not in its first hello alone: that one may be a copy of an older one, which somebody kept.
     fn acknowledged(&mut self, key: &SenderKey, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let (published, first) = (hello.published.0, hello.first_unacknowledged.0);
         // In this order: each bound keeps the next subtraction from wrapping.
@@ -243,7 +243,7 @@ impl Coordinator {
         }
         let (acknowledged, heard) = (Sequence(first - 1), self.books.sequence(key));
         if acknowledged > heard {
-            let is_new = self.roster.sender(key).is_none();
+            let is_new = self.roster.sender(key).is_none_or(|sender| !sender.was_heard);
             let stranger = heard == Sequence(0);
             let credible = is_new && acknowledged.0 - heard.0 <= MAX_LOST;
             // A stranger's report stays in the books, and so in every checkpoint: the number of such reports is
@@ -626,14 +626,19 @@ impl Coordinator {
         self.roster.members().len()
     }
 
-    /// Returns how many actors there have to be for the run to go on, if there are fewer.
+    /// Counts those of them that have answered an order: behind the others there may be nobody.
+    pub fn n_answering(&self) -> usize {
+        self.roster.n_answering()
+    }
+
+    /// Returns how many actors have to be there, and answer, for the run to go on, if there are fewer.
     pub fn n_actors_needed(&self) -> Option<usize> {
         let n_needed = match self.stage {
             RunStage::Gathering => self.settings.actors_min,
             RunStage::Running => 1,
             RunStage::Closing => 0,
         };
-        (self.n_actors() < n_needed).then_some(n_needed)
+        (self.n_answering() < n_needed).then_some(n_needed)
     }
 
     /// Returns who has computed the run so far.
@@ -868,7 +873,7 @@ impl Coordinator {
     /// that little grows stale on the way; at least one, unless nothing more may wait.
     fn room(&self) -> u32 {
         let Some(room) = self.queue.room() else { return self.settings.window };
-        let share = room.div_euclid(self.n_actors().max(1)).max(room.min(1));
+        let share = room.div_euclid(self.n_answering().max(1)).max(room.min(1));
         u32::try_from(share).unwrap_or(u32::MAX).min(self.settings.window)
     }
 

@@ -29,7 +29,7 @@ pub struct MembershipNumber(u64);
 /// One start of an actor, as far as this start of the learner knows it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SenderState {
-    /// Rollouts up to this one were produced before the learner restarted: superseded.
+    /// Rollouts up to this one were made before it could have environments of this learner: superseded.
     pub(crate) made_before: Sequence,
     /// The highest sequence it may publish.
     pub(crate) limit: Sequence,
@@ -43,6 +43,8 @@ pub(crate) struct SenderState {
     has_greeted: bool,
     /// It has answered an order of its newest membership: somebody is behind its name.
     has_answered: bool,
+    /// It has answered one of any: what it has made before is of no use here, because nobody gets environments earlier.
+    pub(crate) was_heard: bool,
     /// Its newest membership.
     membership: MembershipNumber,
     /// What it computes with.
@@ -108,6 +110,8 @@ pub(crate) struct Roster {
     present: BTreeSet<SenderKey>,
     n_greeted: u64,
     n_memberships: u64,
+    /// How many members have answered an order.
+    n_answering: usize,
 }
 
 impl Roster {
@@ -116,10 +120,14 @@ impl Roster {
         self.senders.get_mut(key)
     }
 
-    /// Notes a hello; `published` is how far the actor had got when it first spoke to this learner.
+    /// Notes a hello; `published` is how far the actor has got.
     pub(crate) fn greet(&mut self, key: &SenderKey, published: Sequence, build: Build) {
         if let Some(known) = self.senders.get_mut(key) {
             known.has_greeted = true;
+            // Its earlier hello may be one that was answered too late, or a copy that somebody kept for a new learner.
+            if !known.was_heard {
+                known.made_before = known.made_before.max(published);
+            }
             return;
         }
         self.n_greeted += 1;
@@ -185,6 +193,7 @@ impl Roster {
         }
         let was_member = self.is_member(key);
         if was_member {
+            self.n_answering -= usize::from(self.has_answered(&key.0));
             self.members.remove(&key.0);
         }
         was_member
@@ -201,10 +210,16 @@ impl Roster {
         self.members.get(&key.0) == Some(&key.1)
     }
 
-    /// Notes that a member has answered an order. Returns whether it is its first answer.
+    /// Notes that a member has answered an order. Returns whether it is the first answer of its membership.
     pub(crate) fn answer(&mut self, key: &SenderKey) -> bool {
-        let sender = self.senders.get_mut(key);
-        sender.is_some_and(|sender| !std::mem::replace(&mut sender.has_answered, true))
+        if !self.is_member(key) {
+            return false;
+        }
+        let Some(sender) = self.senders.get_mut(key) else { return false };
+        sender.was_heard = true;
+        let is_first = !std::mem::replace(&mut sender.has_answered, true);
+        self.n_answering += usize::from(is_first);
+        is_first
     }
 
     /// Returns whether a member of this name has answered an order.
@@ -215,7 +230,7 @@ impl Roster {
 
     /// Counts the members that have.
     pub(crate) fn n_answering(&self) -> usize {
-        self.member_senders().filter(|(_, sender)| sender.has_answered).count()
+        self.n_answering
     }
 
     /// Notes that a tick has passed.
@@ -269,7 +284,28 @@ mod tests {
         roster.greet(&key(1), Sequence(9), Build::default());
         assert!(roster.admit(&key(1)).is_some());
         assert_eq!(roster.membership(&key(1)), Some(MembershipNumber(2)));
-        assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(1), "its first hello's");
+        assert_eq!(roster.sender(&key(1)).unwrap().made_before, Sequence(9));
+        assert!(roster.answer(&key(1)) && !roster.answer(&key(1)));
+        roster.greet(&key(1), Sequence(20), Build::default());
+        let made_before = roster.sender(&key(1)).unwrap().made_before;
+        assert_eq!(made_before, Sequence(9), "the others may be of this learner's environments");
+    }
+
+    #[test]
+    fn of_the_members_those_are_counted_that_answer() {
+        let mut roster = Roster::default();
+        greet(&mut roster, 1);
+        assert!(!roster.answer(&key(1)), "no member yet");
+        roster.appear(&key(1));
+        for _ in 0..2 {
+            assert!(roster.admit(&key(1)).is_some());
+            assert_eq!(roster.n_answering(), 0, "it is asked anew");
+            assert!(roster.answer(&key(1)));
+            assert_eq!(roster.n_answering(), 1);
+            assert!(roster.expel(&key(1)) && !roster.expel(&key(1)));
+            assert_eq!(roster.n_answering(), 0);
+            greet(&mut roster, 1);
+        }
     }
 
     #[test]

@@ -65,7 +65,7 @@ enum LearnerWake {
     Trained(Box<Result<Updated, Error>>),
     /// The evaluating thread is done with a policy.
     Evaluated(Evaluated),
-    /// A control message failed.
+    /// A control message was answered, or was not.
     Control(ControlOutcome),
     /// Time has passed.
     Tick,
@@ -374,7 +374,7 @@ impl RunLoop {
         };
         if self.warned_waiting_at.is_none_or(|at| at.elapsed() >= WAITING_EVERY) {
             self.warned_waiting_at = Some(Instant::now());
-            let n_actors = self.coordinator.n_actors();
+            let n_actors = self.coordinator.n_answering();
             self.sink.on_event(&RunEvent::WaitingForActors { n_actors, n_needed });
         }
     }
@@ -543,7 +543,7 @@ impl RunLoop {
     fn health(&self) -> RunHealth {
         let now = Instant::now();
         RunHealth {
-            n_actors: self.coordinator.n_actors(),
+            n_actors: self.coordinator.n_answering(),
             has_enough_actors: self.coordinator.n_actors_needed().is_none(),
             n_envs_waiting: self.coordinator.n_envs_waiting(),
             n_queued: self.coordinator.n_pending() as usize,

@@ -59,7 +59,7 @@ pub struct Header {
     pub checksum: u32,
     /// Start of the sending process.
     pub incarnation: Incarnation,
-    /// The sender's count of rollouts, or of hellos; 0 in other messages.
+    /// The sender's count of rollouts, of hellos or of orders; in an answer that of its question; 0 in other messages.
     pub sequence: Sequence,
     /// The assignment under which a rollout was made; 0 in other messages.
     pub epoch: Epoch,

@@ -19,7 +19,8 @@ use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
 use leadtime_proto::message::{Control, Credit, Hello, HelloReply, Welcome};
 use leadtime_proto::receive::{CONTROL, CREDIT, HELLO_REPLY};
 use leadtime_proto::{
-    ActorId, DomainName, Header, PolicyVersion, RefusalCause, RegionName, RunName, Sequence,
+    ActorId, DomainName, Header, PolicyVersion, Refusal, RefusalCause, RegionName, RunName,
+    Sequence,
 };
 use tracing::{debug, info, warn};
 use zenoh::Wait as _;
@@ -27,7 +28,7 @@ use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
-use zenoh::sample::SampleKind;
+use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
@@ -42,6 +43,7 @@ use crate::proof::{self, Keyring, PeerKey, StartKey};
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
 use crate::redial::ClientSession;
+use crate::wire::ProvedMessage;
 use crate::{ConnectSettings, ControlResponder, Error, Result, session, weights, wire};
 
 /// Threads that answer orders; there is one learner to answer.
@@ -96,7 +98,7 @@ pub struct ActorLink {
     /// Counts hellos, so that a copy of one is known.
     n_hellos: AtomicU64,
     /// What is shared with the learner that welcomed this actor last.
-    learner: Mutex<Option<Arc<PeerKey>>>,
+    learner: Arc<Mutex<Option<Arc<PeerKey>>>>,
     events: EventQueue<ActorEvent>,
     presence: EventQueue<ActorEvent>,
     latest: Arc<Latest<ActorEvent>>,
@@ -130,7 +132,7 @@ impl ActorLink {
             actor: actor.clone(),
             keys: Arc::new(Keyring::new(start.clone())),
             n_hellos: AtomicU64::new(0),
-            learner: Mutex::default(),
+            learner: Arc::default(),
             events,
             presence: receiver.part_presence(),
             latest,
@@ -152,6 +154,7 @@ impl ActorLink {
     /// * [`Error::SeveralRuns`] if none was named and several are there.
     /// * [`Error::RunNotFound`] if only others than the named one are there.
     /// * [`Error::Refused`] if the learner does not want this actor, for instance for its protocol version.
+    /// * [`Error::Rejected`] if somebody says so who proves nothing, and this actor has been welcome before.
     /// * [`Error::Ending`] if the run has dismissed its actors.
     /// * [`Error::Taken`] if another start of an actor of this name is there.
     /// * [`Error::NoAnswer`] if a learner is there but does not answer in time.
@@ -184,8 +187,13 @@ impl ActorLink {
                 qos: wire::CONTROL,
                 timeout: timeout.saturating_sub(started.elapsed()).min(HELLO_WAIT),
             };
-            let anyone = |_| true;
-            match ask_for(&self.session(), question, HELLO_REPLY, &self.keys, anyone).await? {
+            let before = lock(&self.learner).as_ref().map(|learner| learner.peer);
+            // Anybody may answer, and be faster. The learner that this actor works for has the first word.
+            let is_best = |(learner, _): &(Arc<PeerKey>, HelloReply)| {
+                before.is_none_or(|before| before == learner.peer)
+            };
+            let read = |sample: &Sample| read_answer(&self.keys, number, sample);
+            match ask_for(&self.session(), question, read, is_best).await? {
                 // The presence of a killed actor lasts a moment longer than the actor.
                 InquiryEnd::Good((_, HelloReply::Taken))
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
@@ -194,6 +202,10 @@ impl ActorLink {
                     tokio::time::sleep(RETRY.1).await;
                 }
                 InquiryEnd::Good((learner, reply)) => return self.answered(run, learner, reply),
+                // It proves nothing, so it ends nobody who has a learner that may come back.
+                InquiryEnd::Rejected(reason) if before.is_some() => {
+                    return Err(Error::Rejected { key, reason });
+                }
                 InquiryEnd::Rejected(reason) => {
                     return Err(Error::Refused { run, actor: self.actor.clone(), reason });
                 }
@@ -383,10 +395,14 @@ impl ActorLink {
             on_order(&events, &answers, &keys, query);
         })?;
         let (latest, keys) = (Arc::clone(&self.latest), Arc::clone(&self.keys));
+        let ours = Arc::clone(&self.learner);
         let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
+            if is_anothers(&ours, &sample) {
+                return;
+            }
             let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
             match wire::unseal::<Credit>(attachment, payload, CREDIT, &keys) {
-                Ok((learner, credit))
+                Ok(ProvedMessage { key: learner, message: credit, .. })
                     if credit.incarnation == incarnation && credit.learner == learner.peer =>
                 {
                     latest.put(&format!("credit/{}", credit.learner), ActorEvent::Credit(credit));
@@ -432,8 +448,9 @@ impl ActorLink {
                     let (key, source) = (Key::Hello(&run).to_string(), proof::refused());
                     return Err(Error::BadAnswer { key, source });
                 }
-                self.enter(run, DomainName::new(welcome.spec.task.domain.clone())?)?;
+                let domain = DomainName::new(welcome.spec.task.domain.clone())?;
                 *lock(&self.learner) = Some(learner);
+                self.enter(run, domain)?;
                 Ok(*welcome)
             }
         }
@@ -449,18 +466,43 @@ impl ActorLink {
         let session = &self.session();
         let rollouts = pubsub::publisher(session, key, wire::BULK, Encoding::default())?;
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
-        let announcements =
-            subscribe(session, key, move |sample| match weights::read_announcement(&sample) {
+        let ours = Arc::clone(&self.learner);
+        let announcements = subscribe(session, key, move |sample| {
+            if is_anothers(&ours, &sample) {
+                return;
+            }
+            match weights::read_announcement(&sample) {
                 Ok(news) => {
                     let key = format!("weights/{}", news.learner);
                     latest.put(&key, ActorEvent::Announcement(news));
                 }
                 Err(refusal) => warn!(%refusal, "announcement refused"),
-            })?;
+            }
+        })?;
         *entered =
             Some(Arc::new(Membership { run, domain, rollouts, _announcements: announcements }));
         Ok(())
     }
+}
+
+/// Tells whether a message says to come from another learner than ours: it is of no use, and a proof costs more to check than to
+/// invent.
+fn is_anothers(ours: &Mutex<Option<Arc<PeerKey>>>, sample: &Sample) -> bool {
+    let ours = lock(ours).as_ref().map(|learner| learner.peer);
+    let header = sample.attachment().and_then(|bytes| Header::from_bytes(&bytes.to_bytes()).ok());
+    ours.zip(header).is_some_and(|(ours, header)| header.incarnation != ours)
+}
+
+/// Reads the answer to the hello with this number, and whose it is.
+fn read_answer(
+    keys: &Keyring,
+    number: Sequence,
+    sample: &Sample,
+) -> Result<(Arc<PeerKey>, HelloReply), Refusal> {
+    let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
+    let answer = wire::unseal::<HelloReply>(attachment, payload, HELLO_REPLY, keys)?;
+    wire::answers(number, answer.number)?;
+    Ok((answer.key, answer.message))
 }
 
 fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, mut query: Query) {
@@ -471,10 +513,10 @@ fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, 
     }
     let order = wire::unseal::<Control>(query.attachment(), query.payload(), CONTROL, keys);
     unload(&mut query);
-    match order.and_then(|(key, order)| order.check().map(|()| (key, order))) {
-        Ok((key, control)) => {
-            let learner = key.peer;
-            let reply = ControlResponder::new(query, answers, Schema::ControlReply, key);
+    match order.and_then(|order| order.message.check().map(|()| order)) {
+        Ok(order) => {
+            let reply = ControlResponder::new(query, answers, Schema::ControlReply, &order);
+            let (learner, control) = (order.key.peer, order.message);
             // An order that does not fit ends without an answer; the learner gives it again.
             drop(events.offer(ActorEvent::Control { learner, control, reply }, Class::Request));
         }

@@ -10,7 +10,7 @@ use std::thread;
 
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{ControlReply, Hello, HelloReply};
-use leadtime_proto::{ActorId, Header, Incarnation};
+use leadtime_proto::{ActorId, Header, Sequence};
 use serde::Serialize;
 use tracing::debug;
 use zenoh::Wait as _;
@@ -21,6 +21,7 @@ use crate::admitted::Admitted;
 use crate::keys::VERSION;
 use crate::proof::PeerKey;
 use crate::weights::WeightStore;
+use crate::wire::ProvedMessage;
 use crate::{Error, Result, wire};
 
 /// The most answers that wait to be sent; an asker beyond that tries again.
@@ -114,6 +115,8 @@ pub struct Responder<T> {
     schema: Schema,
     /// Shared with who asks.
     key: Arc<PeerKey>,
+    /// The question's.
+    number: Sequence,
     answer: PhantomData<fn(T)>,
 }
 
@@ -123,7 +126,6 @@ pub struct HelloResponder {
     reply: Responder<HelloReply>,
     admitted: Arc<Admitted>,
     actor: ActorId,
-    start: Incarnation,
 }
 
 impl HelloResponder {
@@ -132,8 +134,7 @@ impl HelloResponder {
         admitted: &Arc<Admitted>,
         hello: &Hello,
     ) -> Self {
-        let (admitted, actor) = (Arc::clone(admitted), hello.actor.clone());
-        Self { reply, admitted, actor, start: hello.incarnation }
+        Self { reply, admitted: Arc::clone(admitted), actor: hello.actor.clone() }
     }
 
     /// Gives the answer; the rollouts of whoever is welcome are taken from then on.
@@ -143,7 +144,7 @@ impl HelloResponder {
     /// [`crate::Error::Codec`] if it cannot be encoded.
     pub fn reply(self, answer: &HelloReply) -> Result<()> {
         if matches!(answer, HelloReply::Welcome(_)) {
-            self.admitted.insert(self.actor, self.start);
+            self.admitted.insert(self.actor, Arc::clone(&self.reply.key));
         }
         self.reply.reply(answer)
     }
@@ -153,9 +154,15 @@ impl HelloResponder {
 pub type ControlResponder = Responder<ControlReply>;
 
 impl<T: Serialize> Responder<T> {
-    pub(crate) fn new(query: Query, answers: &Answers, schema: Schema, key: Arc<PeerKey>) -> Self {
+    pub(crate) fn new<Q>(
+        query: Query,
+        answers: &Answers,
+        schema: Schema,
+        question: &ProvedMessage<Q>,
+    ) -> Self {
         let (query, answers) = (Some(query), answers.clone());
-        Self { query, answers, schema, key, answer: PhantomData }
+        let (key, number) = (Arc::clone(&question.key), question.number);
+        Self { query, answers, schema, key, number, answer: PhantomData }
     }
 
     /// Gives the answer.
@@ -164,7 +171,7 @@ impl<T: Serialize> Responder<T> {
     ///
     /// [`crate::Error::Codec`] if it cannot be encoded.
     pub fn reply(mut self, answer: &T) -> Result<()> {
-        let (header, payload) = wire::seal(self.schema, &self.key, answer)?;
+        let (header, payload) = wire::seal(self.schema, &self.key, self.number, answer)?;
         if let Some(query) = self.query.take() {
             self.answers.give(PendingReply::Message(query, header, payload.into()));
         }

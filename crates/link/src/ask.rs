@@ -1,12 +1,10 @@
 //! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too.
 
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
 use leadtime_proto::receive::{self, Expected, WEIGHTS};
-use leadtime_proto::{Header, Incarnation, PolicyVersion, RunName, hex, text};
-use serde::de::DeserializeOwned;
+use leadtime_proto::{Header, Incarnation, PolicyVersion, Refusal, RunName, hex, text};
 use sha2::{Digest as _, Sha256};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
@@ -15,7 +13,6 @@ use zenoh::sample::Sample;
 use zenoh::session::Session;
 
 use crate::keys::{self, Key, Keys, SHA256, VERSION};
-use crate::proof::{self, Keyring, PeerKey};
 use crate::wire::{self, Qos};
 use crate::{Error, Result};
 
@@ -68,24 +65,19 @@ pub(crate) enum InquiryEnd<T> {
     TimedOut,
 }
 
-/// Asks everyone at the key for a message, and returns the first that proves to come from a start that will do.
-pub(crate) async fn ask_for<T: DeserializeOwned>(
+/// Asks everyone at the key for a message, and returns the first that can be read and is the best there can be; else the
+/// first that can be read, once nobody is left who might answer, or time is over.
+pub(crate) async fn ask_for<T>(
     session: &Session,
     question: Inquiry,
-    expected: Expected,
-    keys: &Keyring,
-    will_do: impl Fn(Incarnation) -> bool,
-) -> Result<InquiryEnd<(Arc<PeerKey>, T)>> {
+    read: impl Fn(&Sample) -> Result<T, Refusal>,
+    is_best: impl Fn(&T) -> bool,
+) -> Result<InquiryEnd<T>> {
     let key = question.key.clone();
-    let read =
-        |sample: &Sample| {
-            wire::unseal(sample.attachment(), Some(sample.payload()), expected, keys)
-                .and_then(|(peer, message)| {
-                    if will_do(peer.peer) { Ok((peer, message)) } else { Err(proof::refused()) }
-                })
-                .map_err(|source| Error::BadAnswer { key: key.clone(), source })
-        };
-    ask(session, question, read).await
+    let read = |sample: &Sample| {
+        read(sample).map_err(|source| Error::BadAnswer { key: key.clone(), source })
+    };
+    ask(session, question, read, is_best).await
 }
 
 /// Pulls a version of the weights from a learner or a relay, and returns its bytes.
@@ -109,7 +101,7 @@ pub(crate) async fn pull(
         }
         Ok(bytes)
     };
-    match ask(session, question, read).await? {
+    match ask(session, question, read, |_| true).await? {
         InquiryEnd::Good(bytes) => Ok(bytes),
         InquiryEnd::Rejected(reason) => Err(Error::NotKept { version, reason }),
         InquiryEnd::Nobody | InquiryEnd::TimedOut => Err(Error::NoAnswer { key, timeout }),
@@ -130,7 +122,7 @@ pub(crate) async fn ask_bytes(
     let read = |sample: &Sample| {
         read_whole(sample, &key, expected).map(|(header, bytes)| (header.incarnation, bytes))
     };
-    match ask(session, question, read).await? {
+    match ask(session, question, read, |_| true).await? {
         InquiryEnd::Good(answer) => Ok(answer),
         InquiryEnd::Rejected(reason) => Err(Error::Rejected { key, reason }),
         InquiryEnd::Nobody | InquiryEnd::TimedOut => Err(Error::NoAnswer { key, timeout }),
@@ -157,7 +149,7 @@ pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Durat
         let (schema, qos) = (Schema::Weights, wire::CONTROL);
         let question = Inquiry::without_payload(&key, String::new(), schema, qos, PROBE_TIMEOUT);
         let asked = Instant::now();
-        match ask(session, question, |_| Ok(())).await? {
+        match ask(session, question, |_| Ok(()), |_| true).await? {
             InquiryEnd::Good(()) | InquiryEnd::Rejected(_) => {
                 shortest = shortest.min(asked.elapsed());
             }
@@ -169,11 +161,13 @@ pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Durat
     Ok(shortest)
 }
 
-/// Asks everyone at the key, and reads answers until one can be used; else what is wrong with the last one counts.
+/// Asks everyone at the key, and reads answers until one is the best there can be. Else the first that can be used counts, and
+/// without any what is wrong with the last one.
 async fn ask<T>(
     session: &Session,
     question: Inquiry,
     mut read: impl FnMut(&Sample) -> Result<T>,
+    is_best: impl Fn(&T) -> bool,
 ) -> Result<InquiryEnd<T>> {
     let deadline = (Instant::now() + question.timeout).into();
     let (sender, answers) = flume::bounded::<Reply>(MAX_ANSWERS);
@@ -194,11 +188,14 @@ async fn ask<T>(
             Err(_) | Ok(Err(flume::RecvError::Disconnected)) => return fallback,
             Ok(Ok(reply)) => match reply.into_result() {
                 Ok(sample) => match read(&sample) {
-                    Ok(good) => return Ok(InquiryEnd::Good(good)),
+                    Ok(good) if is_best(&good) => return Ok(InquiryEnd::Good(good)),
+                    _ if matches!(fallback, Ok(InquiryEnd::Good(_))) => {}
+                    Ok(good) => fallback = Ok(InquiryEnd::Good(good)),
                     // A plain no says more than an answer that is no use, which may be anybody's.
                     Err(_) if matches!(fallback, Ok(InquiryEnd::Rejected(_))) => {}
                     Err(error) => fallback = Err(error),
                 },
+                Err(_) if matches!(fallback, Ok(InquiryEnd::Good(_))) => {}
                 Err(error) => {
                     let reason = error.payload().to_bytes();
                     let reason = text::sentence(&String::from_utf8_lossy(&reason));

@@ -28,7 +28,7 @@ use crate::admitted::Admitted;
 use crate::event::{LearnerEvent, Payload, QueuePermit, QueueUsage};
 use crate::keys;
 use crate::lock::lock;
-use crate::proof::{Keyring, StartKey, TAG_PROOF_BYTES};
+use crate::proof::{Keyring, PeerKey, StartKey, TAG_PROOF_BYTES};
 use crate::queue::{Class, EventQueue};
 use crate::session::ListenSettings;
 use crate::wire;
@@ -92,13 +92,18 @@ impl RolloutIntake {
         let Some(actor) = keys::parse_rollouts(sample.key_expr()) else {
             return self.refuse(None, malformed_key());
         };
+        // Whatever number its header has: nothing is proved, so nobody is blamed.
+        let refuse = |actor: ActorId, refusal: Refusal| {
+            self.refuse(Some(actor), Refusal { sender: None, ..refusal });
+        };
+        let (header, key) = match self.admit(&actor, sample) {
+            Ok(admitted) => admitted,
+            Err(refusal) => return refuse(actor, refusal),
+        };
         let message = sample.payload().to_bytes();
-        let (header, body) = match self.prove(&actor, sample, &message) {
-            Ok(proved) => proved,
-            // Whatever number its header has: nothing is proved, so nobody is blamed.
-            Err(refusal) => {
-                return self.refuse(Some(actor), Refusal { sender: None, ..refusal });
-            }
+        let body = match key.check(&header, &message) {
+            Ok(body) => body,
+            Err(refusal) => return refuse(actor, refusal),
         };
         if lock(&self.cut_off).contains(&(actor.clone(), header.incarnation)) {
             return self.count(Some(actor), RefusalCause::CutOff);
@@ -115,21 +120,16 @@ impl RolloutIntake {
         }
     }
 
-    /// Checks that a rollout comes from the welcome start of the actor in its key; returns its header and its body.
-    fn prove<'a>(
-        &self,
-        actor: &ActorId,
-        sample: &Sample,
-        message: &'a [u8],
-    ) -> Result<(Header, &'a [u8]), Refusal> {
+    /// Checks that a rollout says to come from the welcome start of the actor in its key, before a byte of it is touched.
+    /// Returns its header, and the key that it has to be proved with.
+    fn admit(&self, actor: &ActorId, sample: &Sample) -> Result<(Header, Arc<PeerKey>), Refusal> {
         let expected = wire::with_proof(ROLLOUT, TAG_PROOF_BYTES);
         let header = wire::inspect(sample.attachment(), Some(sample.payload()), expected)?;
-        if !self.admitted.contains(actor, header.incarnation) {
+        let Some(key) = self.admitted.key(actor, header.incarnation) else {
             let text = "rollout of an actor that is not welcome here (yet)";
             return Err(Refusal::new(RefusalCause::Stranger, text));
-        }
-        let (_, body) = self.keys.check(&header, message)?;
-        Ok((header, body))
+        };
+        Ok((header, key))
     }
 
     /// Reports a refusal as an event as long as its sender has room for one, and counts it otherwise.

@@ -2,20 +2,22 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Credit, Hello};
 use leadtime_proto::receive::{CONTROL_REPLY, HELLO};
-use leadtime_proto::{ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName};
+use leadtime_proto::{
+    ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName, Sequence,
+};
 use tokio::time::interval;
 use tracing::debug;
 use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
 use zenoh::query::{Query, Queryable};
-use zenoh::sample::SampleKind;
+use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, Responder, unload};
@@ -47,6 +49,7 @@ pub struct LearnerLink {
     store: Arc<WeightStore>,
     announcer: Arc<Publisher<'static>>,
     is_dead: Arc<AtomicBool>,
+    n_orders: AtomicU64,
     upkeep: tokio::task::JoinHandle<()>,
     _taken: [Subscriber<()>; 2],
     _answered: [Queryable<()>; 2],
@@ -121,6 +124,7 @@ impl LearnerLink {
             store,
             announcer,
             is_dead,
+            n_orders: AtomicU64::new(0),
             upkeep: tokio::spawn(upkeep),
             _taken: [rollouts, actors],
             _answered: [pulls, hellos],
@@ -170,15 +174,16 @@ impl LearnerLink {
         self.store.announcement()
     }
 
-    /// Tells an actor its credit. May be lost; repeat it. A start of it that has proved nothing here is told none.
+    /// Tells an actor its credit. May be lost; repeat it. A start of it that was not made welcome, or is gone, is told none.
     ///
     /// # Errors
     ///
     /// [`Error::Network`] if it cannot be sent.
     pub fn send_credit(&self, actor: &ActorId, credit: Credit) -> Result<()> {
-        let Some(peer) = self.intake.keys.of(credit.incarnation) else { return Ok(()) };
+        let admitted = &self.intake.admitted;
+        let Some(peer) = admitted.member_key(actor, credit.incarnation) else { return Ok(()) };
         let key = Key::Credit(&self.run, actor);
-        let (header, payload) = wire::seal(Schema::Credit, &peer, &credit)?;
+        let (header, payload) = wire::seal(Schema::Credit, &peer, Sequence(0), &credit)?;
         put(&self.session, key, wire::NOTICE, &header, payload)
     }
 
@@ -186,7 +191,7 @@ impl LearnerLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoAnswer`] if it is not taken in time (the actor may be gone, or has proved nothing here yet),
+    /// [`Error::NoAnswer`] if it is not taken in time (the actor may be gone, or was not made welcome),
     /// [`Error::Rejected`] if only another start of the actor is there.
     pub async fn control(
         &self,
@@ -196,12 +201,14 @@ impl LearnerLink {
         timeout: Duration,
     ) -> Result<ControlReply> {
         let key = Key::Control(&self.run, actor).to_string();
-        let Some(peer) = self.intake.keys.of(incarnation) else {
+        let Some(peer) = self.intake.admitted.member_key(actor, incarnation) else {
             return Err(Error::NoAnswer { key, timeout });
         };
         let started = Instant::now();
         loop {
-            let (header, payload) = wire::seal(Schema::Control, &peer, control)?;
+            // An answer to an earlier order, which somebody kept, is none to this one.
+            let number = Sequence(self.n_orders.fetch_add(1, Ordering::Relaxed) + 1);
+            let (header, payload) = wire::seal(Schema::Control, &peer, number, control)?;
             let question = Inquiry {
                 key: key.clone(),
                 parameters: format!("{INCARNATION}={incarnation}"),
@@ -210,9 +217,12 @@ impl LearnerLink {
                 qos: wire::CONTROL,
                 timeout: timeout.saturating_sub(started.elapsed()),
             };
-            let (keys, is_it) = (&self.intake.keys, |start| start == incarnation);
-            match ask_for(&self.session, question, CONTROL_REPLY, keys, is_it).await? {
-                InquiryEnd::Good((_, reply)) => return Ok(reply),
+            let read = |sample: &Sample| {
+                let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
+                wire::unseal_answer(attachment, payload, CONTROL_REPLY, &peer, number)
+            };
+            match ask_for(&self.session, question, read, |_| true).await? {
+                InquiryEnd::Good(reply) => return Ok(reply),
                 InquiryEnd::Rejected(reason) => return Err(Error::Rejected { key, reason }),
                 InquiryEnd::Nobody if started.elapsed() < timeout.min(NOBODY_GRACE) => {
                     tokio::time::sleep(NOBODY_PAUSE).await;
@@ -329,17 +339,19 @@ fn on_hello(intake: &RolloutIntake, answers: &Answers, mut query: Query) {
     let (header, message) = (query.attachment(), query.payload());
     let hello = wire::unseal_hello::<Hello>(header, message, HELLO, &intake.keys);
     unload(&mut query);
-    let checked = hello.and_then(|(key, hello)| {
-        hello.check()?;
-        if hello.incarnation == key.peer { Ok((key, hello)) } else { Err(proof::refused()) }
+    let checked = hello.and_then(|hello| {
+        hello.message.check()?;
+        let is_own = hello.message.incarnation == hello.key.peer;
+        if is_own { Ok(hello) } else { Err(proof::refused()) }
     });
     match checked {
         Err(refusal) => {
             answers.give(PendingReply::Refusal(query, refusal.to_string()));
             intake.refuse(None, refusal);
         }
-        Ok((key, hello)) => {
-            let reply = Responder::new(query, answers, Schema::HelloReply, key);
+        Ok(proved) => {
+            let reply = Responder::new(query, answers, Schema::HelloReply, &proved);
+            let hello = proved.message;
             let reply = Box::new(HelloResponder::new(reply, &intake.admitted, &hello));
             if intake.events.offer(LearnerEvent::Hello { hello, reply }, Class::Request).is_some() {
                 intake.count(None, RefusalCause::Overflow);

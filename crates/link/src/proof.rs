@@ -12,6 +12,9 @@
 //! It stands behind the body, so that a process of another release can still read the header in front, and say that the
 //! releases differ.
 //!
+//! A proof can be copied with its message. So hellos are numbered and count once, and an answer carries the number of its question;
+//! everything else is a count that only rises.
+//!
 //! What it does not do: it says that two messages come from the same start, not who that is. Anybody may draw keys, say
 //! hello as an actor of their own, or offer a run of their own; and what is sent can be read. That is what certificates
 //! and access lists are for.
@@ -117,6 +120,27 @@ impl PeerKey {
         proof
     }
 
+    /// Splits the proof off a message, and checks that the other start made it for us. It costs a hash, whoever sent it.
+    ///
+    /// # Errors
+    ///
+    /// As [`Keyring::check`].
+    pub(crate) fn check<'a>(
+        &self,
+        header: &Header,
+        message: &'a [u8],
+    ) -> Result<&'a [u8], Refusal> {
+        let MessageParts { body, made, .. } = MessageParts::split(header, message)?;
+        let is_theirs = header.incarnation == self.peer && self.tag(header, body) == *made;
+        if is_theirs { Ok(body) } else { Err(refused()) }
+    }
+
+    /// Makes what two starts share of both, for tests.
+    #[cfg(test)]
+    pub(crate) fn shared(own: &StartKey, peer: &StartKey) -> Self {
+        Self::new(own, &peer.0.verifying_key())
+    }
+
     fn tag(&self, header: &Header, body: &[u8]) -> blake3::Hash {
         digest(blake3::Hasher::new_keyed(&self.shared), header, body)
     }
@@ -159,7 +183,7 @@ impl Keyring {
     }
 
     /// Returns the key shared with a start that has proved a message here.
-    pub(crate) fn of(&self, peer: Incarnation) -> Option<Arc<PeerKey>> {
+    fn of(&self, peer: Incarnation) -> Option<Arc<PeerKey>> {
         lock(&self.peers).touch(peer).map(|known| Arc::clone(&known.key))
     }
 
@@ -174,12 +198,20 @@ impl Keyring {
         message: &'a [u8],
     ) -> Result<(Arc<PeerKey>, &'a [u8]), Refusal> {
         let MessageParts { body, public, made } = MessageParts::split(header, message)?;
-        let key = match self.of(header.incarnation) {
-            Some(key) => key,
-            None => self.meet(&readable(public)?),
+        let known = self.of(header.incarnation);
+        let key = match &known {
+            Some(key) => Arc::clone(key),
+            None => Arc::new(PeerKey::new(&self.own, &readable(public)?)),
         };
         // The comparison of two hashes takes the same time wherever they differ.
-        if key.tag(header, body) == *made { Ok((key, body)) } else { Err(refused()) }
+        if key.tag(header, body) != *made {
+            return Err(refused());
+        }
+        // Only now: who proves nothing takes nobody's place.
+        if known.is_none() {
+            lock(&self.peers).keep(Arc::clone(&key));
+        }
+        Ok((key, body))
     }
 
     /// Does the same for a hello, which is signed: its sender does not know our key yet. One that is not newer than the
@@ -204,12 +236,11 @@ impl Keyring {
 
     /// Computes and keeps the key shared with a start.
     fn meet(&self, peer: &VerifyingKey) -> Arc<PeerKey> {
-        let start = number(peer.as_bytes());
-        if let Some(key) = self.of(start) {
+        if let Some(key) = self.of(number(peer.as_bytes())) {
             return key;
         }
         let key = Arc::new(PeerKey::new(&self.own, peer));
-        lock(&self.peers).keep(start, Arc::clone(&key));
+        lock(&self.peers).keep(Arc::clone(&key));
         key
     }
 }
@@ -222,7 +253,7 @@ impl Peers {
         Some(known)
     }
 
-    fn keep(&mut self, peer: Incarnation, key: Arc<PeerKey>) {
+    fn keep(&mut self, key: Arc<PeerKey>) {
         if self.known.len() >= MAX_PEERS
             && let Some((&oldest, _)) = self.known.iter().min_by_key(|(_, known)| known.used)
         {
@@ -230,7 +261,7 @@ impl Peers {
         }
         self.clock += 1;
         let used = self.clock;
-        self.known.entry(peer).or_insert(Known { key, used, n_hellos: 0 });
+        self.known.entry(key.peer).or_insert(Known { key, used, n_hellos: 0 });
     }
 }
 
@@ -306,7 +337,7 @@ mod tests {
 
     /// A message for one, from the first to the second.
     fn message(from: &Keyring, to: &Keyring, body: &[u8]) -> (Header, Vec<u8>) {
-        let key = PeerKey::new(&from.own, &to.own.0.verifying_key());
+        let key = PeerKey::shared(&from.own, &to.own);
         let header = Header::plain(Schema::Rollout, from.own.incarnation(), body);
         (header, [body, &key.prove(&header, body)].concat())
     }
@@ -364,6 +395,21 @@ mod tests {
         // Its own message under the number of another.
         let (_, own) = message(&stranger, &learner, b"rollout");
         assert_eq!(cause(learner.check(&header, &own)), NO);
+        // Back to its sender.
+        assert_eq!(cause(actor.check(&header, &sent)), NO);
+        let known = PeerKey::shared(&learner.own, &actor.own);
+        assert_eq!(known.check(&header, &sent).unwrap(), b"rollout");
+        let (header, sent) = message(&stranger, &learner, b"rollout");
+        assert_eq!(cause(known.check(&header, &sent)), NO, "it is another's");
+    }
+
+    #[test]
+    fn who_proves_nothing_takes_no_place_among_the_keys() {
+        let (learner, stranger) = (keyring(1), keyring(2));
+        let (header, mut sent) = message(&stranger, &learner, b"rollout");
+        sent[0] ^= 1;
+        assert_eq!(cause(learner.check(&header, &sent)), NO);
+        assert!(lock(&learner.peers).known.is_empty());
     }
 
     #[test]
@@ -391,11 +437,12 @@ mod tests {
     fn no_more_keys_are_kept_than_there_is_room_for_and_the_busy_ones_stay() {
         let (learner, busy) = (keyring(0), keyring(1));
         let (header, sent) = message(&busy, &learner, b"rollout");
-        let key = learner.check(&header, &sent).unwrap().0;
+        let shared = learner.check(&header, &sent).unwrap().0.shared;
         let mut peers = lock(&learner.peers);
         for n in 0..2 * MAX_PEERS as u64 {
             peers.touch(busy.own.incarnation());
-            peers.keep(Incarnation(n), Arc::clone(&key));
+            let us = learner.own.incarnation();
+            peers.keep(Arc::new(PeerKey { own: [0; KEY_BYTES], shared, us, peer: Incarnation(n) }));
         }
         assert_eq!(peers.known.len(), MAX_PEERS);
         assert!(peers.known.contains_key(&busy.own.incarnation()));

@@ -7,7 +7,7 @@ use leadtime_proto::header::Schema;
 #[cfg(any(test, feature = "fakes"))]
 use leadtime_proto::message::Hello;
 use leadtime_proto::receive::{self, Expected};
-use leadtime_proto::{Header, Incarnation, Refusal, Sequence, codec};
+use leadtime_proto::{Header, Incarnation, Refusal, RefusalCause, Sequence, codec};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use zenoh::bytes::ZBytes;
@@ -45,14 +45,16 @@ pub(crate) const ARCHIVE: Qos =
 pub(crate) const METRICS: Qos =
     Qos { priority: Priority::Background, congestion: CongestionControl::Drop, express: false };
 
-/// Encodes a message for one other start, with its header and its proof.
+/// Encodes a message for one other start, with its header and its proof; `number` counts orders, and is in an answer that of
+/// its question.
 pub(crate) fn seal<T: Serialize>(
     schema: Schema,
     key: &PeerKey,
+    number: Sequence,
     message: &T,
 ) -> Result<(Header, Vec<u8>)> {
     let mut payload = codec::encode(message)?;
-    let header = Header::plain(schema, key.us, &payload);
+    let header = Header { sequence: number, ..Header::plain(schema, key.us, &payload) };
     let proof = key.prove(&header, &payload);
     payload.extend_from_slice(&proof);
     Ok((header, payload))
@@ -83,17 +85,51 @@ pub fn fake_hello(key: &StartKey, number: u64, hello: &Hello) -> Result<(Header,
     sign(Schema::Hello, key, Sequence(number), hello)
 }
 
-/// Reads a message for us, and returns the key that we share with the start that proves it.
+/// A message that proves which start it comes from.
+#[derive(Debug)]
+pub(crate) struct ProvedMessage<T> {
+    /// What we share with that start.
+    pub(crate) key: Arc<PeerKey>,
+    /// Its number, as [`seal`] or [`sign`] gave it.
+    pub(crate) number: Sequence,
+    pub(crate) message: T,
+}
+
+/// Reads a message for us, whoever sent it.
 pub(crate) fn unseal<T: DeserializeOwned>(
     attachment: Option<&ZBytes>,
     payload: Option<&ZBytes>,
     expected: Expected,
     keys: &Keyring,
-) -> Result<(Arc<PeerKey>, T), Refusal> {
+) -> Result<ProvedMessage<T>, Refusal> {
     let header = inspect(attachment, payload, with_proof(expected, TAG_PROOF_BYTES))?;
     let bytes = whole(payload);
     let (key, body) = keys.check(&header, &bytes)?;
-    Ok((key, receive::open(&header, body, expected)?))
+    let message = receive::open(&header, body, expected)?;
+    Ok(ProvedMessage { key, number: header.sequence, message })
+}
+
+/// Reads the answer of one start to the question with this number.
+pub(crate) fn unseal_answer<T: DeserializeOwned>(
+    attachment: Option<&ZBytes>,
+    payload: Option<&ZBytes>,
+    expected: Expected,
+    peer: &PeerKey,
+    number: Sequence,
+) -> Result<T, Refusal> {
+    let header = inspect(attachment, payload, with_proof(expected, TAG_PROOF_BYTES))?;
+    let bytes = whole(payload);
+    let body = peer.check(&header, &bytes)?;
+    answers(number, header.sequence)?;
+    receive::open(&header, body, expected)
+}
+
+/// Checks that an answer is not one that somebody kept from an earlier question.
+pub(crate) fn answers(question: Sequence, answer: Sequence) -> Result<(), Refusal> {
+    if answer == question {
+        return Ok(());
+    }
+    Err(Refusal::new(RefusalCause::Proof, "the answer is not to this question"))
 }
 
 /// Reads a hello, as [`unseal`] reads other messages.
@@ -102,11 +138,12 @@ pub(crate) fn unseal_hello<T: DeserializeOwned>(
     payload: Option<&ZBytes>,
     expected: Expected,
     keys: &Keyring,
-) -> Result<(Arc<PeerKey>, T), Refusal> {
+) -> Result<ProvedMessage<T>, Refusal> {
     let header = inspect(attachment, payload, with_proof(expected, SIGNED_PROOF_BYTES))?;
     let bytes = whole(payload);
     let (key, body) = keys.check_hello(&header, &bytes)?;
-    Ok((key, receive::open(&header, body, expected)?))
+    let message = receive::open(&header, body, expected)?;
+    Ok(ProvedMessage { key, number: header.sequence, message })
 }
 
 /// Reads a message for everybody, and returns the start that proves it.

@@ -393,6 +393,42 @@ fn a_resumed_learner_rolls_back_what_was_lost_and_supersedes_what_was_made_befor
 }
 
 #[test]
+fn a_copy_of_an_older_hello_takes_nothing_from_the_one_that_counts() {
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
+    assert_eq!(c.hello(&hello("a", 3, 1)), Ok(Sequence(1)));
+    c.joined(actor("a"), Incarnation(1));
+    assert_eq!(c.hello(&hello("a", 9, 6)), Ok(Sequence(6)));
+    assert_eq!(c.books().rolled_back, 5);
+    answer(&mut c, "a");
+    for sequence in 6..=9 {
+        send(&mut c, "a", sequence, 100, &rollout(0, 0, 0));
+    }
+    assert_eq!((c.books().superseded, c.n_pending()), (4, 0), "made for another learner");
+    assert_eq!(c.hello(&hello("a", 99, 100)), Err(HelloRefusal::Nonsense));
+    send(&mut c, "a", 10, 1, &rollout(0, 0, 0));
+    assert_eq!(c.n_pending(), 1);
+    close_balanced(&mut c);
+}
+
+#[test]
+fn a_run_whose_members_answer_no_order_is_said_to_wait_for_actors() {
+    let mut c = coordinator(2, Schedule::Lag(0), &[]);
+    c.hello(&hello("ghost", 0, 1)).unwrap();
+    c.joined(actor("ghost"), Incarnation(1));
+    assert_eq!((c.n_actors(), c.n_answering(), c.n_actors_needed()), (1, 0, Some(1)));
+    join(&mut c, "a");
+    assert_eq!((c.n_actors(), c.n_answering(), c.n_actors_needed()), (2, 1, None));
+    assert_eq!(assignments(&mut c).into_iter().map(|(to, _)| to).collect::<Vec<_>>(), [actor("a")]);
+    c.left(actor("a"), Incarnation(1));
+    assert_eq!(c.n_actors_needed(), Some(1));
+    let mut c = coordinator(1, Schedule::Async { staleness_max: 0 }, &["a"]);
+    assert_eq!(c.window(), 2);
+    c.hello(&hello("ghost", 0, 1)).unwrap();
+    c.joined(actor("ghost"), Incarnation(1));
+    assert_eq!(c.window(), 2, "it takes no part of what the others may have on their way");
+}
+
+#[test]
 fn rollouts_of_who_was_never_a_member_enter_no_books() {
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     let before = c.books().clone();
@@ -468,6 +504,8 @@ fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
     assert_eq!(c.books().rolled_back, 0);
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)));
     assert_eq!(c.hello(&hello("a", 7, 6)), Ok(Sequence(6)), "the answer may have been lost");
+    c.joined(actor("a"), Incarnation(1));
+    answer(&mut c, "a");
     assert_eq!(c.hello(&hello("a", 9, 9)), Err(HelloRefusal::Nonsense));
     assert_eq!(c.books().rolled_back, 5);
     close_balanced(&mut c);
@@ -820,6 +858,7 @@ fn who_was_told_a_number_that_nothing_goes_beyond_has_to_say_hello_again() {
     c.astray(&key, first, Epoch(u64::MAX));
     assert_eq!((c.n_actors(), c.epoch()), (0, Epoch(1)), "nobody counts on from there");
     c.hello(&hello("a", 0, 1)).unwrap();
+    answer(&mut c, "a");
     let (_, again) = assignments(&mut c).remove(0);
     assert_eq!((again.epoch, again.envs.len()), (Epoch(2), 1), "at once: it did nothing wrong");
     send(&mut c, "a", 1, 2, &rollout(0, 0, 0));

@@ -3,13 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use leadtime_link::keys::Member;
+use leadtime_link::keys::{Key, Member};
 use leadtime_link::{ActorEvent, Archive, Error, ObserverEvent, ObserverLink};
 use leadtime_proto::message::{Assignment, Control, ControlReply, Credit, EnvAssignment};
 use leadtime_proto::receive::{self, ROLLOUT};
 use leadtime_proto::{
     EnvId, Epoch, Incarnation, Iteration, PolicyVersion, Rollout, Sequence, codec,
 };
+use zenoh::query::QueryTarget;
 
 use crate::support::*;
 
@@ -62,6 +63,53 @@ async fn an_order_is_acknowledged_or_ends_in_time() {
     // An earlier start that never said hello here.
     let earlier = learner.control(&id, Incarnation(1), &order, SOON).await;
     assert!(matches!(earlier.unwrap_err(), Error::NoAnswer { .. }));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_answer_that_somebody_kept_is_none_to_a_later_order() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let (id, a) = (actor_id("a"), start("a").incarnation());
+    let (listener, giver) = (site.raw("client").await, site.raw("client").await);
+    let key = Key::Control(&run("one"), &id).to_string();
+    let orders = listener.declare_queryable(key.as_str()).await.unwrap();
+    look_at(&listener).await;
+    let order = |epoch| {
+        Control::Assign(Assignment { epoch: Epoch(epoch), envs: Vec::new(), keep: Vec::new() })
+    };
+    let follow = |epoch| ControlReply::Followed { epoch: Epoch(epoch) };
+
+    // The listener sees an order; the giver gives it once more, and gets an answer that proves its start.
+    let copy = async {
+        let seen = orders.recv_async().await.unwrap();
+        let payload = seen.payload().unwrap().to_bytes().into_owned();
+        let header = seen.attachment().unwrap().to_bytes().into_owned();
+        let place = format!("{key}?{}", seen.parameters());
+        drop(seen);
+        obey_next(&actor_events, &follow(1)).await;
+        let again = giver.get(place).payload(payload).attachment(header).target(QueryTarget::All);
+        let answers = again.await.unwrap();
+        obey_next(&actor_events, &follow(1)).await;
+        drop(orders.recv_async().await.unwrap());
+        answers.recv_async().await.unwrap().into_result().unwrap()
+    };
+    let first = order(1);
+    let (answer, kept) = tokio::join!(learner.control(&id, a, &first, SOON), copy);
+    assert_eq!(answer.unwrap(), follow(1));
+
+    let forge = async {
+        let seen = orders.recv_async().await.unwrap();
+        let header = kept.attachment().unwrap().to_bytes().into_owned();
+        let body = kept.payload().to_bytes().into_owned();
+        seen.reply(key.as_str(), body).attachment(header).await.unwrap();
+        drop(seen);
+        look_at(&listener).await;
+        obey_next(&actor_events, &follow(2)).await;
+    };
+    let second = order(2);
+    let (answer, ()) = tokio::join!(learner.control(&id, a, &second, SOON), forge);
+    assert_eq!(answer.unwrap(), follow(2));
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,6 +1,9 @@
 //! Coming and going, on both sides.
 
-use leadtime_link::{ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, StartKey};
+use leadtime_link::keys::Key;
+use leadtime_link::{
+    ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ListenSettings, StartKey,
+};
 use leadtime_proto::message::{Hello, HelloReply, Welcome};
 use leadtime_proto::{Incarnation, PolicyVersion};
 
@@ -79,4 +82,78 @@ async fn actors_outlive_their_learner_and_greet_the_next_one() {
     let (header, payload) = rollout("a", 1);
     actor.publish_rollout(&header, payload).unwrap();
     assert_eq!(next_rollout(&events).await.1, header);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_answers_a_hello_faster_does_not_take_an_actor_from_its_learner() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (actor, actor_events) = site.welcomed("a", &events).await;
+    let through =
+        ListenSettings { connect: vec![site.endpoint.clone()], ..ListenSettings::new(Vec::new()) };
+    let other = StartKey::numbered(101);
+    let (_rival, rival_events) =
+        LearnerLink::open(&run("one"), DOMAIN, &other, &through).await.unwrap();
+    hear_of(&actor_events, other.incarnation(), true).await;
+    let (said, no) = (hello("a"), HelloReply::Refused { reason: "enough".to_owned() });
+    let answers = async {
+        answer_next(&rival_events, &no).await;
+        welcome_next(&events).await;
+    };
+    let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), answers);
+    assert_eq!(answer.unwrap(), welcome("one"));
+
+    // Where the learner says nothing, the other one counts: it may be the next learner of the run.
+    let answers = async {
+        answer_next(&rival_events, &no).await;
+        drop(next_hello(&events).await);
+    };
+    let (answer, ()) = tokio::join!(actor.hello(None, &said, SOON), answers);
+    assert!(matches!(answer.unwrap_err(), Error::Refused { .. }));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_no_that_proves_nothing_turns_away_only_who_was_never_welcome() {
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (known, _known_events) = site.welcomed("a", &events).await;
+    let (newcomer, _newcomer_events) = site.actor("b").await;
+    let intruder = site.raw("client").await;
+    let key = Key::Hello(&run("one")).to_string();
+    let hellos = intruder.declare_queryable(key).await.unwrap();
+    look_at(&intruder).await;
+    let say_no = async || {
+        let question = hellos.recv_async().await.unwrap();
+        question.reply_err("go away").await.unwrap();
+        drop(question);
+        drop(next_hello(&events).await);
+    };
+    let said = hello("a");
+    let (answer, ()) = tokio::join!(known.hello(None, &said, SOON), say_no());
+    assert!(matches!(answer.unwrap_err(), Error::Rejected { reason, .. } if reason == "go away"));
+    let said = hello("b");
+    let (answer, ()) = tokio::join!(newcomer.hello(None, &said, SOON), say_no());
+    assert!(matches!(answer.unwrap_err(), Error::Refused { reason, .. } if reason == "go away"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_actor_hears_the_news_of_its_own_learner_alone() {
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (_actor, actor_events) = site.welcomed("a", &events).await;
+    let through =
+        ListenSettings { connect: vec![site.endpoint.clone()], ..ListenSettings::new(Vec::new()) };
+    let other = StartKey::numbered(101);
+    let (rival, _rival_events) =
+        LearnerLink::open(&run("one"), DOMAIN, &other, &through).await.unwrap();
+    hear_of(&actor_events, other.incarnation(), true).await;
+    for version in 1..=3 {
+        rival.offer_weights(PolicyVersion(version), b"forged".as_slice().into()).unwrap();
+    }
+    learner.offer_weights(PolicyVersion(1), b"own".as_slice().into()).unwrap();
+    let news = until(&actor_events, |event| match event {
+        ActorEvent::Announcement(news) => Some(news),
+        _ => None,
+    });
+    assert_eq!(news.await, learner.announcement());
 }

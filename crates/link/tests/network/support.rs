@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use leadtime_link::{
-    ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, LearnerEvent, LearnerLink,
-    ListenSettings, Payload, RefusalCounts, StartKey,
+    ActorEvent, ActorLink, ConnectSettings, Endpoint, Error, Events, HelloResponder, LearnerEvent,
+    LearnerLink, ListenSettings, Payload, RefusalCounts, StartKey,
 };
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Hello, HelloReply, Welcome};
@@ -86,6 +86,14 @@ pub(crate) async fn say_hello(actor: &ActorLink, id: &str, learner: &LearnerEven
     said.unwrap()
 }
 
+/// Waits until the learner has looked at everything that this session has sent it.
+pub(crate) async fn look_at(session: &zenoh::Session) {
+    let key = leadtime_link::keys::Key::Weights(&run("one"), &domain()).to_string();
+    let answers = session.get(key).await.unwrap();
+    let answer = tokio::time::timeout(SOON, answers.recv_async()).await;
+    answer.expect("the answer comes soon").expect("the learner answers");
+}
+
 /// Welcomes the next actor that says hello.
 pub(crate) async fn welcome_next(learner: &LearnerEvents) {
     answer_next(learner, &HelloReply::Welcome(Box::new(welcome("one")))).await;
@@ -93,11 +101,16 @@ pub(crate) async fn welcome_next(learner: &LearnerEvents) {
 
 /// Answers the next hello.
 pub(crate) async fn answer_next(learner: &LearnerEvents, answer: &HelloReply) {
+    next_hello(learner).await.reply(answer).unwrap();
+}
+
+/// Waits for the next hello, and returns where to answer it.
+pub(crate) async fn next_hello(learner: &LearnerEvents) -> Box<HelloResponder> {
     let reply = until(learner, |event| match event {
         LearnerEvent::Hello { reply, .. } => Some(reply),
         _ => None,
     });
-    reply.await.reply(answer).unwrap();
+    reply.await
 }
 
 /// Answers the next order, and returns it.
