@@ -243,7 +243,7 @@ impl Coordinator {
         }
         let (acknowledged, heard) = (Sequence(first - 1), self.books.sequence(key));
         if acknowledged > heard {
-            let is_new = self.roster.sender(key).is_none_or(|sender| !sender.was_heard);
+            let is_new = self.roster.sender(key).is_none_or(|sender| !sender.was_heard());
             let stranger = heard == Sequence(0);
             let credible = is_new && acknowledged.0 - heard.0 <= MAX_LOST;
             // A stranger's report stays in the books, and so in every checkpoint: the number of such reports is

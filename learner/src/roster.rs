@@ -41,12 +41,10 @@ pub(crate) struct SenderState {
     pub(crate) n_astray: u32,
     /// It has said hello since it was last lost.
     has_greeted: bool,
-    /// It has answered an order of its newest membership: somebody is behind its name.
-    has_answered: bool,
-    /// It has answered one of any: what it has made before is of no use here, because nobody gets environments earlier.
-    pub(crate) was_heard: bool,
     /// Its newest membership.
     membership: MembershipNumber,
+    /// The newest membership in which it answered an order: somebody is behind its name.
+    answered: MembershipNumber,
     /// What it computes with.
     build: Build,
     /// Position in the order of first hellos.
@@ -83,6 +81,17 @@ impl SenderState {
     pub(crate) fn delivered(&mut self, iteration: Iteration, staleness: u64) {
         self.newest = Some((iteration, staleness));
         (self.n_quiet_ticks, self.n_astray) = (0, 0);
+    }
+
+    /// Returns whether it has answered an order of its newest membership.
+    fn has_answered(&self) -> bool {
+        self.answered == self.membership
+    }
+
+    /// Returns whether it has answered an order of any membership. What it made before that is of no use here, because nobody
+    /// gets environments earlier.
+    pub(crate) fn was_heard(&self) -> bool {
+        self.answered != MembershipNumber::default()
     }
 
     /// Returns whether it has ever been a member.
@@ -125,7 +134,7 @@ impl Roster {
         if let Some(known) = self.senders.get_mut(key) {
             known.has_greeted = true;
             // Its earlier hello may be one that was answered too late, or a copy that somebody kept for a new learner.
-            if !known.was_heard {
+            if !known.was_heard() {
                 known.made_before = known.made_before.max(published);
             }
             return;
@@ -174,7 +183,6 @@ impl Roster {
         (is_welcome && is_free).then(|| {
             self.n_memberships += 1;
             (sender.membership, sender.n_quiet_ticks) = (MembershipNumber(self.n_memberships), 0);
-            sender.has_answered = false;
             self.members.insert(key.0.clone(), key.1);
             sender.build.clone()
         })
@@ -216,8 +224,8 @@ impl Roster {
             return false;
         }
         let Some(sender) = self.senders.get_mut(key) else { return false };
-        sender.was_heard = true;
-        let is_first = !std::mem::replace(&mut sender.has_answered, true);
+        let is_first = !sender.has_answered();
+        sender.answered = sender.membership;
         self.n_answering += usize::from(is_first);
         is_first
     }
@@ -225,7 +233,7 @@ impl Roster {
     /// Returns whether a member of this name has answered an order.
     pub(crate) fn has_answered(&self, actor: &ActorId) -> bool {
         let key = self.members.get(actor).map(|&start| (actor.clone(), start));
-        key.and_then(|key| self.senders.get(&key)).is_some_and(|sender| sender.has_answered)
+        key.and_then(|key| self.senders.get(&key)).is_some_and(SenderState::has_answered)
     }
 
     /// Counts the members that have.

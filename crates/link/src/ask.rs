@@ -149,7 +149,7 @@ pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Durat
         let (schema, qos) = (Schema::Weights, wire::CONTROL);
         let question = Inquiry::without_payload(&key, String::new(), schema, qos, PROBE_TIMEOUT);
         let asked = Instant::now();
-        match ask(session, question, |_| Ok(()), |_| true).await? {
+        match ask(session, question, |_| Ok(()), |()| true).await? {
             InquiryEnd::Good(()) | InquiryEnd::Rejected(_) => {
                 shortest = shortest.min(asked.elapsed());
             }
