@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::process::Command;
-use std::time::Duration;
 
 use crate::support::{
     Finished, PATIENCE, Place, arguments, children, repository, result, signal, updates,
@@ -160,7 +159,9 @@ fn workers_that_never_close_are_waited_for_together_and_not_one_after_the_other(
     wait_for_updates(&place.run("n"), 2);
     assert_eq!(workers_of(actor.id()).len(), 8);
     signal("TERM", actor.id());
-    actor.finish(Duration::from_secs(4));
+    // It ends by itself, and says what it has done, before it would be ended by force.
+    let done = actor.finish(PATIENCE);
+    assert!(done.stdout.contains("run n: "), "{}{}", done.stdout, done.stderr);
     learner.kill();
 }
 

@@ -168,12 +168,13 @@ fn a_run_on_this_disk_goes_on_where_its_learner_went_on() {
     read_until(&mut events, "event: history\ndata: {");
     assert!(read_until(&mut events, "\n").contains(&format!("\"to\":{n},")));
     // What a learner does that goes on from an earlier update, and makes the one after it again.
-    fs::write(&metrics, lines[..back].concat()).unwrap();
+    let mut journal = fs::OpenOptions::new().append(true).open(&metrics).unwrap();
+    journal.set_len(lines[..back].concat().len() as u64).unwrap();
     read_until(&mut events, "event: history\ndata: {");
     let told = read_until(&mut events, "\n");
     assert!(told.contains(&format!("\"to\":{back},")), "{told}");
     assert!(told.contains(&format!("\"update\":{back},")), "the mark: {told}");
-    fs::write(&metrics, lines[..=back].concat()).unwrap();
+    journal.write_all(lines[back].as_bytes()).unwrap();
     let newest = format!("\"update\":{},", back + 1);
     read_until(&mut events, "event: update\ndata: {");
     while !read_until(&mut events, "\n").contains(&newest) {}

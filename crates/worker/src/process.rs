@@ -40,7 +40,7 @@ const LINES_PER_SECOND: u32 = 40;
 /// How long a dead worker's last words are waited for.
 const LAST_WORDS: Duration = Duration::from_millis(500);
 /// How long a worker that is no longer needed may close its environments.
-const CLOSING: Duration = Duration::from_secs(1);
+const CLOSING: Duration = Duration::from_secs(2);
 /// The longest temporary directory that leaves room for a socket's name.
 const MAX_BASE_BYTES: usize = 60;
 

@@ -239,10 +239,12 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
     };
     let _others = listen(Key::Credit(&one, &a9)).await.unwrap();
     let _mine = listen(Key::Credit(&one, &a8)).await.unwrap();
+    let (_obedient, _orders) = guarded.actor("a9").await;
+    let credit = Credit { incarnation: start("a9").incarnation(), ..credit(1) };
     let heard = async {
         loop {
-            learner.send_credit(&a9, credit(1)).unwrap();
-            learner.send_credit(&a8, credit(1)).unwrap();
+            learner.send_credit(&a9, credit).unwrap();
+            learner.send_credit(&a8, credit).unwrap();
             let wait = tokio::time::timeout(Duration::from_millis(50), heard.recv_async());
             if let Ok(Ok(key)) = wait.await {
                 return key;
@@ -253,7 +255,6 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
     assert_eq!(heard, Key::Credit(&one, &a8).to_string());
 
     // Orders come from the learner alone.
-    let (_obedient, _orders) = guarded.actor("a9").await;
     for name in ["a8", "o1", "w1", "stranger"] {
         let session = guarded.raw(name).await;
         assert_eq!(n_answers(&session, Key::Control(&one, &a9)).await, 0, "{name} gives orders");
