@@ -239,12 +239,13 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
     };
     let _others = listen(Key::Credit(&one, &a9)).await.unwrap();
     let _mine = listen(Key::Credit(&one, &a8)).await.unwrap();
+    let (_own, _heard) = guarded.actor("a8").await;
     let (_obedient, _orders) = guarded.actor("a9").await;
-    let credit = Credit { incarnation: start("a9").incarnation(), ..credit(1) };
+    let credit = |id| Credit { incarnation: start(id).incarnation(), ..credit(1) };
     let heard = async {
         loop {
-            learner.send_credit(&a9, credit).unwrap();
-            learner.send_credit(&a8, credit).unwrap();
+            learner.send_credit(&a9, credit("a9")).unwrap();
+            learner.send_credit(&a8, credit("a8")).unwrap();
             let wait = tokio::time::timeout(Duration::from_millis(50), heard.recv_async());
             if let Ok(Ok(key)) = wait.await {
                 return key;
