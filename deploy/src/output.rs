@@ -59,7 +59,7 @@ pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     written.with_context(|| format!("writing {}", path.display()))
 }
 
-/// Makes sure that [`file`] can write there, and leaves nothing behind: long work must not end with a refusal.
+/// Makes sure that [`file()`] can write there, and leaves nothing behind: long work must not end with a refusal.
 pub(crate) fn check_file(path: &Path) -> anyhow::Result<()> {
     if is_stream(path) {
         return Ok(());
