@@ -211,7 +211,7 @@ def test_an_odd_info_is_named_and_no_line_of_the_log_fails_a_step():
                         raise ValueError
                 raise Unwritable
             if self.fault == "surrogate":
-                raise ValueError("caf\udce9")
+                raise ValueError("na\udcef")
             return observation, 10**5000 if self.fault == "huge" else reward, terminated, truncated, {"success": self.fault, "fuel": 1e39}
 
     assert refused(lambda index: Odd(fault="no-info")) == "the info of `reset` is None, which is no dict"
@@ -219,7 +219,7 @@ def test_an_odd_info_is_named_and_no_line_of_the_log_fails_a_step():
     for fault, told in [("list", "the info of `step` is [1], which is no dict"), ("nothing", "the info of `step` is None, which is no dict"),
                         ("no-tuple", "`step` returns None, not five: the environment needs Gymnasium 0.26 or newer"),
                         ("yes", "`success` of info is 'yes', which is no number"), ("unwritable", "Unwritable (test_worker.py:"),
-                        ("surrogate", "ValueError: caf\\udce9 (test_worker.py:")]:
+                        ("surrogate", "ValueError: na\\udcef (test_worker.py:")]:
         pair = Pair(lambda index: Odd(fault=fault, length=1))
         pair.begin()
         with contextlib.redirect_stderr(io.StringIO()):

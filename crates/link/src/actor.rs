@@ -397,7 +397,7 @@ impl ActorLink {
         let (latest, keys) = (Arc::clone(&self.latest), Arc::clone(&self.keys));
         let ours = Arc::clone(&self.learner);
         let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
-            if is_anothers(&ours, &sample) {
+            if is_of_another(&ours, &sample) {
                 return;
             }
             let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
@@ -468,7 +468,7 @@ impl ActorLink {
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
         let ours = Arc::clone(&self.learner);
         let announcements = subscribe(session, key, move |sample| {
-            if is_anothers(&ours, &sample) {
+            if is_of_another(&ours, &sample) {
                 return;
             }
             match weights::read_announcement(&sample) {
@@ -487,7 +487,7 @@ impl ActorLink {
 
 /// Tells whether a message says to come from another learner than ours: it is of no use, and a proof costs more to check than to
 /// invent.
-fn is_anothers(ours: &Mutex<Option<Arc<PeerKey>>>, sample: &Sample) -> bool {
+fn is_of_another(ours: &Mutex<Option<Arc<PeerKey>>>, sample: &Sample) -> bool {
     let ours = lock(ours).as_ref().map(|learner| learner.peer);
     let header = sample.attachment().and_then(|bytes| Header::from_bytes(&bytes.to_bytes()).ok());
     ours.zip(header).is_some_and(|(ours, header)| header.incarnation != ours)
