@@ -35,7 +35,7 @@ const LAYERS: &[&[&str]] = &[
     &["leadtime-episodes"],
     &["leadtime-actor", "leadtime-learner", "leadtime-eval", "leadtime-scripts", "leadtime-serve"],
     &["leadtime-config", "leadtime-web", "leadtime-recording"],
-    &["leadtime-runs", "leadtime-watch", "leadtime-python"],
+    &["leadtime-runs", "leadtime-watch", "leadtime-status", "leadtime-python"],
     &["leadtime-studies"],
     &["leadtime"],
 ];
@@ -110,6 +110,7 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("hyper", &["leadtime-web"]),
         ("hyper-util", &["leadtime-web"]),
         ("mcap", &["leadtime-recording"]),
+        ("prometheus-client", &["leadtime-status"]),
         ("symphonia-core", &["leadtime-voice"]),
         ("symphonia-codec-vorbis", &["leadtime-voice"]),
         ("symphonia-format-ogg", &["leadtime-voice"]),

@@ -33,7 +33,6 @@ mod refused;
 mod service;
 mod shutdown;
 mod sink;
-mod status;
 mod targets;
 mod terminal;
 mod threads;

@@ -9,6 +9,7 @@ use leadtime_learner::{
 use leadtime_link::Archive;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
+use leadtime_status::LearnerStatus;
 use leadtime_trace::TraceSpan;
 use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
@@ -17,7 +18,6 @@ use crate::display::Display;
 use crate::metrics_pipe::MetricsPipe;
 use crate::service::{self, Service};
 use crate::shutdown;
-use crate::status::LearnerStatus;
 use crate::trace_file::ProcessTrace;
 
 /// Records a run's progress and shows it.

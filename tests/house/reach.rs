@@ -30,6 +30,7 @@ const UNREACHABLE: &[(&str, &str)] = &[
     ("python", "link learner actor runs zenoh tokio clap"),
     ("recording", "ppo actor learner config runs clap"),
     ("watch", "ppo actor learner worker worlds config runs clap"),
+    ("status", "worlds lander highway steakhouse worker config runs clap"),
     ("runs", "actor serve scripts clap anyhow"),
     ("studies", "actor serve clap anyhow"),
 ];

@@ -9,6 +9,7 @@ use leadtime_link::{Endpoint, Error as LinkError, StartKey};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RegionName, RunName};
 use leadtime_runs::{ProgramBuild, Tasks};
+use leadtime_status::ActorStatus;
 use leadtime_trace::TraceSpan;
 use leadtime_worker::WorkerRules;
 use serde_json::json;
@@ -20,7 +21,6 @@ use crate::cli::ActorArgs;
 use crate::credentials::{connect_settings, is_wrong_input};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::shutdown::{self, Watch};
-use crate::status::ActorStatus;
 use crate::trace_file::{ProcessTrace, TraceFile};
 use crate::{build, log_line, output};
 

@@ -17,18 +17,19 @@ use leadtime_runs::{
     ProgramBuild, ResultCause, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock,
     learner_config, scratch,
 };
+use leadtime_status::{LearnerFacts, LearnerStatus, StatusServer};
+use leadtime_web::parse_address;
 use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use super::report;
-use crate::cli::{LearnerArgs, StopAfter};
+use crate::cli::{LearnerArgs, STATUS_ADDRESS, StopAfter};
 use crate::credentials::{guard_options, is_wrong_address, is_wrong_input, listen_settings};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::metrics_pipe::MetricsPipe;
 use crate::output::{self, DRAW, EVALUATE};
 use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::sink::{RunSink, held_out_sentence};
-use crate::status::{LearnerFacts, LearnerStatus, StatusServer};
 use crate::trace_file::{ProcessTrace, TraceFile};
 use crate::{build, log_line, service};
 
@@ -178,10 +179,9 @@ fn tell_changes(run_dir: &RunDir, config: &Config) {
 
 /// Takes the address of `--status`, before anything of the run is touched.
 pub(super) async fn bind_status(address: Option<&str>) -> Result<Option<StatusServer>, Failure> {
-    match address {
-        Some(address) => StatusServer::bind(address).await.map(Some),
-        None => Ok(None),
-    }
+    let Some(address) = address else { return Ok(None) };
+    let bound = async { StatusServer::bind(parse_address(address, STATUS_ADDRESS)?).await };
+    bound.await.context("--status").blame(ExitCode::WrongInput).map(Some)
 }
 
 /// Returns where to listen: on this machine, unless a router is to be dialled instead.

@@ -7,15 +7,15 @@ use leadtime_actor::ActorProgress;
 use tokio::sync::watch;
 use tokio_util::sync::DropGuard;
 
-use super::health::Liveness;
-use super::machine;
-use super::names::{Metric, MetricPage};
-use super::numbers::PageNumbers;
-use super::server::{StatusServer, StatusSource};
+use crate::health::Liveness;
+use crate::machine;
+use crate::names::{Metric, MetricPage};
+use crate::numbers::PageNumbers;
+use crate::server::{StatusServer, StatusSource};
 
 /// An actor's status page, which is served for as long as this lives.
 #[derive(Debug)]
-pub(crate) struct ActorStatus {
+pub struct ActorStatus {
     _served: DropGuard,
 }
 
@@ -31,7 +31,7 @@ struct ActorPage {
 
 impl ActorStatus {
     /// Begins to serve what the actor's loop says.
-    pub(crate) fn serve(
+    pub fn serve(
         server: StatusServer,
         actor: &str,
         certificate: Option<PathBuf>,

@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     fn repository(path: &str) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(path)
     }
 
     fn known() -> BTreeSet<String> {

@@ -10,11 +10,11 @@ use leadtime_learner::{RunEvent, RunHealth, UpdateProgress};
 use leadtime_proto::RefusalCause;
 use tokio_util::sync::DropGuard;
 
-use super::health::{Liveness, Occasion};
-use super::machine;
-use super::names::{Metric, MetricPage};
-use super::numbers::PageNumbers;
-use super::server::{StatusServer, StatusSource};
+use crate::health::{Liveness, Occasion};
+use crate::machine;
+use crate::names::{Metric, MetricPage};
+use crate::numbers::PageNumbers;
+use crate::server::{StatusServer, StatusSource};
 
 /// The span that the share of waiting is about.
 const WINDOW: Duration = Duration::from_mins(1);
@@ -23,8 +23,10 @@ const ENTRY: Duration = Duration::from_secs(1);
 
 /// What a learner's page needs to know of its run once.
 #[derive(Debug)]
-pub(crate) struct LearnerFacts {
+pub struct LearnerFacts {
+    /// Its name.
     pub run: String,
+    /// Its directory.
     pub directory: PathBuf,
     /// The configured time between checkpoints.
     pub checkpoint_interval: Duration,
@@ -34,7 +36,7 @@ pub(crate) struct LearnerFacts {
 
 /// The writing end of a learner's status page, which is served for as long as this lives.
 #[derive(Debug)]
-pub(crate) struct LearnerStatus {
+pub struct LearnerStatus {
     shared: Arc<LearnerPage>,
     window: WaitWindow,
     _served: DropGuard,
@@ -60,7 +62,7 @@ struct LearnerPage {
 
 impl LearnerStatus {
     /// Begins to serve.
-    pub(crate) fn serve(server: StatusServer, facts: LearnerFacts) -> Self {
+    pub fn serve(server: StatusServer, facts: LearnerFacts) -> Self {
         let liveness = Liveness::new();
         let start = liveness.start();
         let shared = Arc::new(LearnerPage {
@@ -82,7 +84,7 @@ impl LearnerStatus {
     }
 
     /// Takes in an update.
-    pub(crate) fn update(&mut self, progress: &UpdateProgress) {
+    pub fn update(&mut self, progress: &UpdateProgress) {
         let shared = &self.shared;
         let numbers = &shared.numbers;
         let UpdateProgress { update, episodes, phases, books, n_queued, .. } = progress;
@@ -126,7 +128,7 @@ impl LearnerStatus {
     }
 
     /// Takes in how the run stands.
-    pub(crate) fn tick(&self, health: &RunHealth) {
+    pub fn tick(&self, health: &RunHealth) {
         let LearnerPage { numbers, liveness, .. } = &*self.shared;
         liveness.tick();
         numbers.set(Metric::Actors, health.n_actors as f64);
@@ -139,7 +141,7 @@ impl LearnerStatus {
     }
 
     /// Takes in what happened.
-    pub(crate) fn event(&self, event: &RunEvent) {
+    pub fn event(&self, event: &RunEvent) {
         match event {
             RunEvent::Listening { .. } => self.shared.is_listening.store(true, Ordering::Relaxed),
             RunEvent::CheckpointWritten { .. } => self.shared.last_checkpoint.note(),
@@ -148,7 +150,7 @@ impl LearnerStatus {
     }
 
     /// Counts something that could not be written.
-    pub(crate) fn dropped(&self) {
+    pub fn dropped(&self) {
         self.shared.numbers.add(Metric::LinesDropped, 0, 1.0);
     }
 }

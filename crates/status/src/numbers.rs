@@ -13,7 +13,7 @@ use prometheus_client::metrics::MetricType;
 use prometheus_client::metrics::exemplar::Exemplar;
 use prometheus_client::registry::Registry;
 
-use super::names::{
+use crate::names::{
     METRICS, Metric, MetricKind, MetricLabel, MetricPage, PREFIX, STALENESS_BUCKETS,
 };
 

@@ -12,17 +12,14 @@ use leadtime_web::axum::http::StatusCode;
 use leadtime_web::axum::http::header::CONTENT_TYPE;
 use leadtime_web::axum::response::{IntoResponse as _, Response};
 use leadtime_web::axum::routing::get;
-use leadtime_web::{Guard, HttpServer, parse_address};
+use leadtime_web::{Error, Guard, HttpServer};
 use tokio_util::sync::{CancellationToken, DropGuard};
-
-use crate::cli::STATUS_ADDRESS;
-use crate::exit::{Blame as _, ExitCode, Failure};
 
 /// What the text of `/metrics` is; without it the counters of this format would be read as something else.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
 /// What a status page is made of.
-pub(super) trait StatusSource: Send + Sync + 'static {
+pub(crate) trait StatusSource: Send + Sync + 'static {
     /// Writes the numbers.
     fn metrics(&self) -> Result<String, std::fmt::Error>;
 
@@ -35,18 +32,20 @@ pub(super) trait StatusSource: Send + Sync + 'static {
 
 /// An address that is taken for a status page.
 #[derive(Debug)]
-pub(crate) struct StatusServer(HttpServer);
+pub struct StatusServer(HttpServer);
 
 impl StatusServer {
-    /// Takes the address of `--status`.
-    pub(crate) async fn bind(address: &str) -> Result<Self, Failure> {
-        let bound = async { HttpServer::bind(parse_address(address, STATUS_ADDRESS)?).await };
-        let server = bound.await.map_err(|error| anyhow::Error::from(error).context("--status"));
-        Ok(Self(server.blame(ExitCode::WrongInput)?))
+    /// Takes the address.
+    ///
+    /// # Errors
+    ///
+    /// If it is in use, or the system does not let this process listen there.
+    pub async fn bind(address: SocketAddr) -> Result<Self, Error> {
+        HttpServer::bind(address).await.map(Self)
     }
 
     /// Serves a page until the returned guard is dropped.
-    pub(super) fn serve(self, source: Arc<dyn StatusSource>) -> DropGuard {
+    pub(crate) fn serve(self, source: Arc<dyn StatusSource>) -> DropGuard {
         let (stop, address) = (CancellationToken::new(), self.0.address());
         tracing::info!("status at http://{address}/metrics, /live, /ready, /version");
         if !self.0.is_local() {

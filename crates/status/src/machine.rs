@@ -7,7 +7,7 @@ use leadtime_certs::Certificate;
 use rustix::fs::{Access, access, statvfs};
 
 /// Returns the memory of this process in bytes.
-pub(super) fn resident_bytes() -> Option<f64> {
+pub(crate) fn resident_bytes() -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
     let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
@@ -15,19 +15,19 @@ pub(super) fn resident_bytes() -> Option<f64> {
 }
 
 /// Returns how many bytes are free on the disk of a path, and how many it holds.
-pub(super) fn disk_bytes(path: &Path) -> Option<(f64, f64)> {
+pub(crate) fn disk_bytes(path: &Path) -> Option<(f64, f64)> {
     let disk = statvfs(path).ok()?;
     let bytes = |blocks: u64| blocks as f64 * disk.f_frsize as f64;
     Some((bytes(disk.f_bavail), bytes(disk.f_blocks)))
 }
 
 /// Tells whether files can be made in a directory, as far as its permissions say.
-pub(super) fn is_writable(directory: &Path) -> bool {
+pub(crate) fn is_writable(directory: &Path) -> bool {
     access(directory, Access::WRITE_OK | Access::EXEC_OK).is_ok()
 }
 
 /// Returns when a certificate ends, in seconds since 1970.
-pub(super) fn certificate_end(path: &Path) -> Option<f64> {
+pub(crate) fn certificate_end(path: &Path) -> Option<f64> {
     Some(Certificate::read(path).ok()?.ends.as_second() as f64)
 }
 
