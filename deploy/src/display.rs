@@ -6,7 +6,7 @@ use leadtime_learner::UpdateProgress;
 use leadtime_proto::phrase::{counted, duration, time_left};
 use leadtime_table::fitted;
 
-use crate::{logging, terminal};
+use crate::{log, terminal};
 
 /// Pause between two plain lines, and between two states of the bar.
 const LINE_EVERY: Duration = Duration::from_secs(5);
@@ -24,7 +24,7 @@ pub(crate) struct Display {
 impl Display {
     /// Chooses by where standard error goes.
     pub(crate) fn new() -> Self {
-        Self { is_bar: terminal::is_watched() && logging::is_chatty(), last: None, began: None }
+        Self { is_bar: terminal::is_watched() && log::is_chatty(), last: None, began: None }
     }
 
     /// Shows one update.

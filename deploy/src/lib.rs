@@ -1,7 +1,8 @@
-//! The program `leadtime`: command line, commands, logging, output, exit codes.
+//! The program `leadtime`: command line, commands, wording, output, exit codes.
 //!
 //! The only crate that reads arguments and environment, prints, and decides exit codes. What it does not know: how a
-//! policy learns, how a rollout travels, what a run consists of.
+//! policy learns, how a rollout travels, what a run consists of, and what every process has around its work
+//! (`leadtime-process`).
 //!
 //! ```text
 //! main -> Program -> cli -> commands/* -> Tasks      worlds and built-in configurations
@@ -21,21 +22,14 @@ mod commands;
 mod crash;
 mod credentials;
 mod display;
+mod ending;
 mod exit;
-mod log_file;
-mod log_line;
-mod logging;
-mod metrics_pipe;
-mod new_file;
+mod log;
 mod output;
 mod program;
-mod refused;
-mod service;
-mod shutdown;
 mod sink;
 mod targets;
 mod terminal;
 mod threads;
-mod trace_file;
 
 pub use program::Program;

@@ -19,7 +19,7 @@ pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
 
 use crate::exit::Failure;
-use crate::{logging, terminal};
+use crate::{log, terminal};
 
 /// The first failure to write to standard output.
 static FAILED: OnceLock<io::Error> = OnceLock::new();
@@ -122,7 +122,7 @@ pub(crate) fn say(text: &str) {
 
 /// Writes a line to standard error unless only warnings and results are wanted.
 pub(crate) fn note(text: &str) {
-    if logging::is_chatty() {
+    if log::is_chatty() {
         say(text);
     }
 }

@@ -7,6 +7,8 @@ use leadtime_learner::{
     HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, RunHealth, UpdateProgress,
 };
 use leadtime_link::Archive;
+use leadtime_process::service::{self, Service};
+use leadtime_process::{MetricsPipe, ProcessTrace, shutdown};
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
 use leadtime_status::LearnerStatus;
@@ -15,10 +17,6 @@ use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
 use crate::display::Display;
-use crate::metrics_pipe::MetricsPipe;
-use crate::service::{self, Service};
-use crate::shutdown;
-use crate::trace_file::ProcessTrace;
 
 /// Records a run's progress and shows it.
 #[derive(Debug)]
@@ -54,7 +52,7 @@ impl RunSink {
             has_warned: false,
             has_told_failure: false,
             status: None,
-            service: Service::new(),
+            service: Service::find(),
             stop,
             pipe: None,
             trace: None,

@@ -33,6 +33,7 @@ const UNREACHABLE: &[(&str, &str)] = &[
     ("status", "worlds lander highway steakhouse worker config runs clap"),
     ("runs", "actor serve scripts clap anyhow"),
     ("studies", "actor serve clap anyhow"),
+    ("process", "actor serve scripts studies watch web clap anyhow"),
 ];
 
 #[test]

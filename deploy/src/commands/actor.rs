@@ -6,6 +6,7 @@ use anyhow::{Context as _, bail};
 use leadtime_actor::{ActorEnd, ActorProgress, ActorSettings, ActorSink, Error};
 use leadtime_certs::Role;
 use leadtime_link::{Endpoint, Error as LinkError, StartKey};
+use leadtime_process::{ProcessTrace, TraceFile, log_line};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ActorId, RegionName, RunName};
 use leadtime_runs::{ProgramBuild, Tasks};
@@ -19,17 +20,16 @@ use super::learner::bind_status;
 
 use crate::cli::ActorArgs;
 use crate::credentials::{connect_settings, is_wrong_input};
+use crate::ending::{self, Watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::shutdown::{self, Watch};
-use crate::trace_file::{ProcessTrace, TraceFile};
-use crate::{build, log_line, output};
+use crate::{build, output};
 
 /// The longest part of a host's name that becomes part of an actor's.
 const HOST_CHARS: usize = 24;
 
 pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
-    let shutdown = shutdown::watch(watched).blame(ExitCode::Failed)?;
+    let shutdown = ending::watch(watched).blame(ExitCode::Failed)?;
     let settings = settings(args, build::this_build()?).blame(ExitCode::WrongInput)?;
     tasks.workers.follow(WorkerRules {
         permission: args.worker.permission(false),
@@ -47,13 +47,14 @@ pub(super) async fn run(tasks: &Tasks, args: &ActorArgs) -> Result<(), Failure> 
     let _status = status.map(|server| ActorStatus::serve(server, actor, certificate, told));
     tracing::info!(actor = %settings.actor, at = %args.connect.join(", "), "looking for a learner");
     // A supervisor has made the file.
-    let made = if args.supervised { None } else { TraceFile::create(&args.trace)? };
-    let trace = ProcessTrace::join(&args.trace, "actor", actor);
+    let asked = args.trace.file.as_deref().filter(|_| !args.supervised);
+    let made = TraceFile::create(asked).blame(ExitCode::WrongInput)?;
+    let trace = ProcessTrace::join(args.trace.file.as_deref(), "actor", actor);
     let sink = Box::new(ActorOutlet { progress, trace });
     let report =
         leadtime_actor::run_watched(settings, tasks.registry.clone(), shutdown, sink).await;
-    if let Some(trace) = made {
-        trace.finish();
+    if let Some(told) = made.and_then(TraceFile::finish) {
+        output::note(&told);
     }
     let report = report.map_err(failure)?;
     // The actor's own account of what it did; the learner's books must agree with it.

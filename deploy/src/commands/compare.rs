@@ -14,10 +14,10 @@ use leadtime_table::{Table, wrapped};
 
 use crate::build::this_build;
 use crate::cli::CompareArgs;
+use crate::ending::{Watch, drain_on_request, unless_drained, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::WIDTH;
-use crate::shutdown::{Watch, drain_on_request, unless_drained, watch};
-use crate::{logging, output, terminal};
+use crate::{log, output, terminal};
 
 /// Pause between two plain lines.
 const LINE_EVERY: Duration = Duration::from_secs(15);
@@ -130,7 +130,7 @@ impl Drop for Console {
 
 impl StudyObserver for Console {
     fn training(&mut self, progress: &TrainingProgress) {
-        if !logging::is_chatty() {
+        if !log::is_chatty() {
             return;
         }
         if terminal::is_watched() {

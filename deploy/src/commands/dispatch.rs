@@ -12,7 +12,7 @@ use super::{
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{logging, output, targets, threads};
+use crate::{log, output, targets, threads};
 
 /// Carries out one command.
 pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
@@ -26,7 +26,7 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
         _ if is_one_of_many => "warn,leadtime::worker=info",
         _ => "info",
     };
-    logging::start(level, &logs)?;
+    log::start(level, &logs)?;
     threads::check()?;
     let options = verbosity.options().iter().map(OsString::from);
     let options: Vec<OsString> = options.chain(logs.options()).collect();

@@ -22,9 +22,9 @@ use tokio_util::sync::CancellationToken;
 use super::{describe, evaluation};
 use crate::cli::DriveArgs;
 use crate::credentials::{dialling_failure, notifier_settings};
+use crate::ending::{Watch, unless_cancelled, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use crate::shutdown::{Watch, unless_cancelled, watch};
 
 pub(super) async fn run(tasks: &Tasks, args: &DriveArgs) -> Result<(), Failure> {
     let config = describe::load(tasks, &args.task, &args.set, &args.runs)?;

@@ -8,6 +8,7 @@ use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::Endpoint;
+use leadtime_process::{MetricsPipe, ProcessTrace, TraceFile, log_line, service};
 use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
@@ -23,15 +24,13 @@ use serde_json::json;
 use tokio_util::sync::CancellationToken;
 
 use super::report;
+use crate::build;
 use crate::cli::{LearnerArgs, STATUS_ADDRESS, StopAfter};
 use crate::credentials::{guard_options, is_wrong_address, is_wrong_input, listen_settings};
+use crate::ending::{Watch, drain_on_request, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::metrics_pipe::MetricsPipe;
 use crate::output::{self, DRAW, EVALUATE};
-use crate::shutdown::{Watch, drain_on_request, watch};
 use crate::sink::{RunSink, held_out_sentence};
-use crate::trace_file::{ProcessTrace, TraceFile};
-use crate::{build, log_line, service};
 
 /// Where a learner listens if nothing else is said; with a certificate by TLS, else by TCP.
 const DEFAULT_ADDRESS: &str = "127.0.0.1:7447";
@@ -44,7 +43,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         .blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     // A supervisor has made the file.
-    let made = if args.supervised { None } else { TraceFile::create(&args.run.trace)? };
+    let trace = args.run.trace.file.as_deref();
+    let made = TraceFile::create(trace.filter(|_| !args.supervised)).blame(ExitCode::WrongInput)?;
     let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
     let (mut run_dir, state) = open(&config, args, &build)?;
@@ -85,7 +85,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         certificate,
     };
     let status = status.map(|server| LearnerStatus::serve(server, facts));
-    let trace = ProcessTrace::join(&args.run.trace, "learner", "learner");
+    let trace = ProcessTrace::join(trace, "learner", "learner");
     let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
     let mut sink = sink.with_status(status).with_trace(trace);
     if let Some(command) = &args.run.metrics_to {
@@ -94,8 +94,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let held_out = held_out_evaluation(&config, &tasks.registry);
     let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
     service::stopping();
-    if let Some(trace) = made {
-        trace.finish();
+    if let Some(told) = made.and_then(TraceFile::finish) {
+        output::note(&told);
     }
     if let (Some(scratch), true) = (&args.scratch, shutdown.is_cancelled()) {
         // A supervisor that lives removes it itself; if it was killed nobody else would.

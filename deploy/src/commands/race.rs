@@ -13,9 +13,9 @@ use tokio_util::sync::CancellationToken;
 
 use super::launch::{carry_out, outcome};
 use crate::cli::RaceArgs;
+use crate::ending::{Watch, drain_on_request, unless_cancelled, unless_drained, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT, WIDTH};
-use crate::shutdown::{Watch, drain_on_request, unless_cancelled, unless_drained, watch};
 
 pub(super) async fn run(
     tasks: &Tasks,

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_link::live::{LiveMessage, LiveRecorderLink, LiveSample, LiveTopic, SessionAsker};
+use leadtime_process::NewFile;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::{ClientName, ServiceName};
 use leadtime_recording::{Error as RecordingError, LiveRecorder, RecordingWriter};
@@ -17,10 +18,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::cli::RecordArgs;
 use crate::credentials::{dialling_failure, notifier_settings};
+use crate::ending::{Watch, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::new_file::NewFile;
 use crate::output;
-use crate::shutdown::{Watch, watch};
 
 /// How often what was recorded is handed to the disk: what a killed recorder may lose.
 pub(super) const FLUSH_EVERY: Duration = Duration::from_secs(1);
@@ -30,7 +30,7 @@ const MAX_ASKED: usize = 64;
 pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Recorder])?;
-    let mut file = NewFile::create(&args.output, "cannot record to").blame(ExitCode::WrongInput)?;
+    let mut file = create(args)?;
     let open = LiveRecorderLink::open(&settings, &args.notifier.service, args.live.as_ref());
     let (link, samples) = tokio::select! {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
@@ -57,6 +57,13 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     drop(recording.link.close().await);
     let held = format!("{} of {}", counted(n_messages, "message"), counted(n_sessions, "session"));
     close(args, &held, failure)
+}
+
+/// Makes the file, which must not be there.
+pub(super) fn create(args: &RecordArgs) -> Result<NewFile, Failure> {
+    let file = NewFile::create(&args.output);
+    let file = file.with_context(|| format!("cannot record to {}", args.output.display()));
+    file.blame(ExitCode::WrongInput)
 }
 
 /// Begins the file, which stays from now on.

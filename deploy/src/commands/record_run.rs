@@ -15,19 +15,18 @@ use serde_json::Value;
 use tokio::time::{MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
 
-use super::record::{FLUSH_EVERY, RecordFailure, arrived, begin, close, end, stop_after};
+use super::record::{FLUSH_EVERY, RecordFailure, arrived, begin, close, create, end, stop_after};
 use crate::cli::RecordArgs;
 use crate::credentials::{dialling_failure, notifier_settings};
+use crate::ending::{Watch, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::new_file::NewFile;
-use crate::shutdown::{Watch, watch};
 
 pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let run = RunName::new(name).context("--run").blame(ExitCode::WrongInput)?;
     let settings =
         notifier_settings(&args.connect, &args.notifier, &[Role::Recorder, Role::Observer])?;
-    let mut file = NewFile::create(&args.output, "cannot record to").blame(ExitCode::WrongInput)?;
+    let mut file = create(args)?;
     let opened = async {
         let (link, events) = ObserverLink::open(&settings).await?;
         let run = link.find_run(&settings, Some(run)).await?;

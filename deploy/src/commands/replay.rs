@@ -27,9 +27,9 @@ use tokio_util::sync::CancellationToken;
 use super::{drive, recorded, serve};
 use crate::cli::{ReplayArgs, ReplaySpeed, ServeArgs};
 use crate::credentials::{dialling_failure, notifier_settings};
+use crate::ending::{Watch, unless_cancelled, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, WIDTH};
-use crate::shutdown::{Watch, unless_cancelled, watch};
 
 /// The most messages that stand side by side.
 const MAX_ROWS: usize = 24;

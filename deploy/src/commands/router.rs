@@ -11,8 +11,8 @@ use tokio::time::interval;
 
 use crate::cli::RouterArgs;
 use crate::credentials::{listen_settings, listening_failure};
+use crate::ending::{Watch, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::shutdown::{Watch, watch};
 
 /// Pause between two looks at the connections.
 const LOOK_EVERY: Duration = Duration::from_secs(1);

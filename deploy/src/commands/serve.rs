@@ -25,9 +25,9 @@ use super::robot_session::robot_session;
 use super::taxonomy;
 use crate::cli::ServeArgs;
 use crate::credentials::{listen_settings, listening_failure};
+use crate::ending::{Watch, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use crate::shutdown::{Watch, watch};
 
 pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> {
     if !args.describe && args.listen.is_empty() && args.connect.is_empty() {

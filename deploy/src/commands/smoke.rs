@@ -22,9 +22,9 @@ use serde_json::json;
 use super::launch::launch;
 use super::{evaluation, play, report};
 use crate::cli::SmokeArgs;
+use crate::ending::{Watch, drain_on_request, unless_cancelled, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, HEAR};
-use crate::shutdown::{Watch, drain_on_request, unless_cancelled, watch};
 
 /// Episodes of a quick run.
 const QUICK_EPISODES: u32 = 10;

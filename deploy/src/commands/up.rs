@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use leadtime_certs::Role;
+use leadtime_process::TraceFile;
 use leadtime_proto::RunName;
 use leadtime_runs::launch::{Launch, LearnerPlace};
 use leadtime_runs::{Naming, Tasks, clock};
@@ -19,10 +20,9 @@ use super::launch::{goes_on, launch_or_drain};
 use super::watch::{PageServer, beside};
 use crate::cli::{AccessArgs, UpArgs};
 use crate::credentials::{check_listening, guard_options};
+use crate::ending::{Watch, drain_on_request, unless_drained, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE, REPORT};
-use crate::shutdown::{Watch, drain_on_request, unless_drained, watch};
-use crate::trace_file::TraceFile;
 
 pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Result<(), Failure> {
     let mut config = args.run.load(tasks, &args.source).blame(ExitCode::WrongInput)?;
@@ -49,7 +49,8 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         }
     };
     let guard = guard_options(&args.guard);
-    let trace = TraceFile::create(&args.run.trace)?;
+    let trace = args.run.trace.file.as_deref();
+    let made = TraceFile::create(trace).blame(ExitCode::WrongInput)?;
     let what = Launch {
         observer: beside.is_some().then_some(&observe as &LearnerPlace),
         listen: &args.listen,
@@ -58,7 +59,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         stop_after: args.run.stop_after.map(|amount| amount.to_string()),
         changes: args.run.change.iter().map(ToString::to_string).collect(),
         metrics_to: args.run.metrics_to.as_deref(),
-        trace: args.run.trace.file.as_deref(),
+        trace,
         status: args.status.as_deref(),
         learner_stdout: true,
         options,
@@ -68,8 +69,8 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
     if let Some(beside) = &beside {
         beside.end().await;
     }
-    if let Some(trace) = trace {
-        trace.finish();
+    if let Some(told) = made.and_then(TraceFile::finish) {
+        output::note(&told);
     }
     let run = launched?;
     if !goes_on(&run, &what) {

@@ -16,9 +16,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::cli::WatchArgs;
 use crate::credentials::{connect_settings, is_wrong_input};
+use crate::ending::{Watch, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output;
-use crate::shutdown::{Watch, watch};
 
 mod directory;
 mod served;

@@ -20,12 +20,12 @@ static RUN: OnceLock<String> = OnceLock::new();
 static ACTOR: OnceLock<String> = OnceLock::new();
 
 /// Says which run this process works for; the first one counts.
-pub(crate) fn is_about_run(name: &str) {
+pub fn is_about_run(name: &str) {
     RUN.get_or_init(|| name.to_owned());
 }
 
 /// Says which actor this process is; the first one counts.
-pub(crate) fn is_about_actor(id: &str) {
+pub fn is_about_actor(id: &str) {
     ACTOR.get_or_init(|| id.to_owned());
 }
 
@@ -147,6 +147,6 @@ mod tests {
         assert_eq!(lines[1]["fields"], json!({}));
         let time = lines[1]["time"].as_str().unwrap();
         assert!(time.len() == 24 && time.ends_with('Z'), "{time}");
-        assert_eq!(lines[1]["target"], "leadtime::log_line::tests");
+        assert_eq!(lines[1]["target"], "leadtime_process::log_line::tests");
     }
 }

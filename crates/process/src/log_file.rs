@@ -72,7 +72,11 @@ fn append_to(path: &Path) -> io::Result<File> {
 }
 
 /// Sends the log of this process to a file from now on.
-pub(crate) fn open(path: &Path) -> io::Result<()> {
+///
+/// # Errors
+///
+/// If the file cannot be opened, or the log goes to one already.
+pub fn open(path: &Path) -> io::Result<()> {
     let file = LogFile::open(path)?;
     // There is one command per process, so nobody has set it before.
     LOG.set(file).map_err(|_set| io::ErrorKind::AlreadyExists.into())

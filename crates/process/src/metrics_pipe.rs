@@ -22,7 +22,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 /// A started command, and the thread that writes to it.
 #[derive(Debug)]
-pub(crate) struct MetricsPipe {
+pub struct MetricsPipe {
     lines: Option<SyncSender<String>>,
     writer: Option<JoinHandle<()>>,
     child: Box<dyn ChildWrapper>,
@@ -37,7 +37,11 @@ impl MetricsPipe {
     /// # Errors
     ///
     /// If no shell, or no thread, can be started.
-    pub(crate) fn start(command: &str) -> io::Result<Self> {
+    ///
+    /// # Panics
+    ///
+    /// Never: the pipe is asked for.
+    pub fn start(command: &str) -> io::Result<Self> {
         let mut shell = Command::new("sh");
         // A learner's standard output has its results.
         shell.args(["-c", command]).stdin(Stdio::piped()).stdout(Stdio::null());
@@ -56,7 +60,7 @@ impl MetricsPipe {
     }
 
     /// Hands on a line, which ends with a line break.
-    pub(crate) fn line(&mut self, line: String) {
+    pub fn line(&mut self, line: String) {
         let Some(lines) = &self.lines else { return };
         match lines.try_send(line) {
             Ok(()) => {}

@@ -8,7 +8,7 @@ use sd_notify::{NotifyState, notify, watchdog_enabled};
 
 /// The run's side of the service manager.
 #[derive(Debug)]
-pub(crate) struct Service {
+pub struct Service {
     is_ready: bool,
     /// How often the watchdog wants to hear something, at least.
     watchdog: Option<Duration>,
@@ -17,12 +17,12 @@ pub(crate) struct Service {
 
 impl Service {
     /// Looks whether there is a service manager, and whether it watches.
-    pub(crate) fn new() -> Self {
+    pub fn find() -> Self {
         Self { is_ready: false, watchdog: watchdog_enabled(), last_sign: None }
     }
 
     /// Notes that the run's loop went round, with or without enough actors.
-    pub(crate) fn tick(&mut self, is_complete: bool) {
+    pub fn tick(&mut self, is_complete: bool) {
         if is_complete && !std::mem::replace(&mut self.is_ready, true) {
             tell(NotifyState::Ready);
         }
@@ -35,17 +35,17 @@ impl Service {
 }
 
 /// Says that the process needs nothing more: a manager that waits for it to be ready would take its end for a failure.
-pub(crate) fn ready() {
+pub fn ready() {
     tell(NotifyState::Ready);
 }
 
 /// Says that the process is about to end.
-pub(crate) fn stopping() {
+pub fn stopping() {
     tell(NotifyState::Stopping);
 }
 
 /// Asks for more time to end.
-pub(crate) fn extend(time: Duration) {
+pub fn extend(time: Duration) {
     let micros = u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
     tell(NotifyState::ExtendTimeoutUsec(micros));
 }

@@ -23,13 +23,12 @@ use leadtime_runs::supervise::GRACE;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::log_file;
 
 /// How long a process may take to end after it was asked to.
-pub(crate) const DEADLINE: Duration = Duration::from_millis(4_400);
+pub const DEADLINE: Duration = Duration::from_millis(4_400);
 /// How long a supervisor may take: its children's [`DEADLINE`], the time to notice, and the time to kill.
-pub(crate) const SUPERVISOR_DEADLINE: Duration = Duration::from_millis(4_950);
+const SUPERVISOR_DEADLINE: Duration = Duration::from_millis(4_950);
 const _: () = assert!(
     DEADLINE.as_millis() < GRACE.as_millis() && GRACE.as_millis() < SUPERVISOR_DEADLINE.as_millis(),
     "a child ends by itself first, then it is killed, then the supervisor ends"
@@ -42,13 +41,22 @@ const FILE_TOO_LARGE: i32 = 25;
 /// Whether the process holds what it could not save.
 static IS_UNSAVED: AtomicBool = AtomicBool::new(false);
 
-/// Gives the process [`UNSAVED_TIME`] more to end, because it holds what it cannot save; its exit code says so.
-pub(crate) fn wait_for_unsaved() {
+/// Gives the process a minute more to end, because it holds what it cannot save; its exit code is to say so.
+pub fn wait_for_unsaved() {
     IS_UNSAVED.store(true, Ordering::Relaxed);
 }
 
+/// Tells whether the process holds what it could not save.
+pub fn is_unsaved() -> bool {
+    IS_UNSAVED.load(Ordering::Relaxed)
+}
+
 /// Asks the process to end on SIGUSR1, too; returns whether that was the reason.
-pub(crate) fn drain_on_request(shutdown: &CancellationToken) -> io::Result<Arc<AtomicBool>> {
+///
+/// # Errors
+///
+/// If the system refuses a handler.
+pub fn drain_on_request(shutdown: &CancellationToken) -> io::Result<Arc<AtomicBool>> {
     let mut asked = signal(SignalKind::user_defined1())?;
     let drained = Arc::new(AtomicBool::new(false));
     let (note, shutdown) = (Arc::clone(&drained), shutdown.clone());
@@ -63,24 +71,9 @@ pub(crate) fn drain_on_request(shutdown: &CancellationToken) -> io::Result<Arc<A
     Ok(drained)
 }
 
-/// Returns what was done; `None` if it was interrupted because SIGUSR1 asked for the end, which is no failure.
-pub(crate) fn unless_drained<T>(
-    done: Result<T, Failure>,
-    drained: &AtomicBool,
-) -> Result<Option<T>, Failure> {
-    match done {
-        Err(failure)
-            if failure.code == ExitCode::Interrupted && drained.load(Ordering::Relaxed) =>
-        {
-            Ok(None)
-        }
-        done => done.map(Some),
-    }
-}
-
 /// Who may ask a process to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Watch {
+pub enum Watch {
     /// The person, by Ctrl-C, SIGTERM or SIGHUP.
     Signals,
     /// The person or the supervisor, by closing standard input.
@@ -89,9 +82,13 @@ pub(crate) enum Watch {
     SignalsAsSupervisor,
 }
 
-/// Starts to watch for a reason to end; call it inside the async runtime. Fails if the system refuses a handler or a
-/// thread.
-pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
+/// Starts to watch for a reason to end; call it inside the async runtime. `end_now` ends the process: it is called where the
+/// deadline has passed, or the person insists.
+///
+/// # Errors
+///
+/// If the system refuses a handler or a thread.
+pub fn watch(who: Watch, end_now: fn()) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
@@ -128,7 +125,7 @@ pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
         // A thread, because the runtime itself may be what does not end.
         let spawned = timer.spawn(move || {
             thread::sleep(deadline);
-            if IS_UNSAVED.load(Ordering::Relaxed) {
+            if is_unsaved() {
                 thread::sleep(UNSAVED_TIME);
             }
             end_now();
@@ -155,26 +152,7 @@ async fn received(signal: Option<&mut Signal>) {
     }
 }
 
-/// Does blocking work that leaves nothing half done, unless the process is asked to end meanwhile: then the work goes on
-/// until the process ends.
-pub(crate) async fn unless_cancelled<T: Send + 'static>(
-    shutdown: &CancellationToken,
-    work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
-) -> Result<T, Failure> {
-    tokio::select! {
-        () = shutdown.cancelled() => Err(Failure::silent(ExitCode::Interrupted)),
-        done = tokio::task::spawn_blocking(work) => done.blame(ExitCode::Failed)?,
-    }
-}
-
 fn wait_for_end_of_input() {
     // Interrupted reads are tried again; any other error is an end, too.
     drop(io::copy(&mut io::stdin().lock(), &mut io::sink()));
-}
-
-#[expect(clippy::exit, reason = "the deadline has passed, or the person insists")]
-fn end_now() {
-    let is_unsaved = IS_UNSAVED.load(Ordering::Relaxed);
-    let code = if is_unsaved { ExitCode::WrongInput } else { ExitCode::Interrupted };
-    std::process::exit(code as i32);
 }

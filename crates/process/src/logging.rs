@@ -1,10 +1,9 @@
-//! Logging: tracing events on standard error, or in a file.
+//! Logging: tracing events in the log file, or wherever the caller writes them.
 
-use std::env::{self, VarError};
+use std::env::VarError;
 use std::fmt;
 use std::io::{self, Write};
 
-use anyhow::Context as _;
 use leadtime_runs::clock;
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::Layer as _;
@@ -14,45 +13,53 @@ use tracing_subscriber::fmt::time::FormatTime;
 use tracing_subscriber::layer::SubscriberExt as _;
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-use crate::cli::{LogArgs, LogFormat};
-use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::error::Error;
 use crate::log_line::JsonLine;
-use crate::{log_file, refused, terminal};
+use crate::{log_file, refused};
 
 /// The variable that says what to log.
-const VARIABLE: &str = "RUST_LOG";
+pub const VARIABLE: &str = "RUST_LOG";
 
-/// Starts logging at `level` (`info`, `warn`) unless `RUST_LOG` says otherwise; refuses what is not a filter, and a file
-/// that cannot be opened.
-pub(crate) fn start(level: &str, how: &LogArgs) -> Result<(), Failure> {
-    let filter = filter(level, env::var(VARIABLE))?;
-    if let Some(path) = &how.log_file {
-        let opened = log_file::open(path);
-        opened
-            .with_context(|| format!("--log-file {}", path.display()))
-            .blame(ExitCode::WrongInput)?;
-    }
-    let is_watched = terminal::is_watched() && how.log_file.is_none();
-    let colour = is_watched && env::var_os("NO_COLOR").is_none();
-    let lines = tracing_subscriber::fmt::layer().with_writer(LogOutput);
-    let lines = match how.log_format {
-        LogFormat::Json => lines.event_format(JsonLine).boxed(),
-        LogFormat::Text => {
-            let lines = lines.with_timer(TimeStamp { is_watched });
-            lines.with_ansi(colour).with_target(false).boxed()
-        }
+/// What is logged.
+#[derive(Debug)]
+pub struct LogFilter(EnvFilter);
+
+/// How lines of the log look, and who writes them where there is no log file.
+#[derive(Clone, Copy, Debug)]
+pub struct LogStyle {
+    /// Each is one JSON object, for machines.
+    pub is_json: bool,
+    /// A person watches as they come: the time of day is enough.
+    pub is_watched: bool,
+    /// They have colours.
+    pub is_coloured: bool,
+    /// Writes lines, and drops what cannot be written.
+    pub write: fn(&str),
+}
+
+/// Starts logging, unless the embedding program has done so.
+pub fn start(filter: LogFilter, style: LogStyle) {
+    let lines = tracing_subscriber::fmt::layer().with_writer(LogOutput { write: style.write });
+    let lines = if style.is_json {
+        lines.event_format(JsonLine).boxed()
+    } else {
+        let lines = lines.with_timer(TimeStamp { is_watched: style.is_watched });
+        lines.with_ansi(style.is_coloured).with_target(false).boxed()
     };
-    let shown = lines.with_filter(filter);
+    let shown = lines.with_filter(filter.0);
     let started = tracing_subscriber::registry().with(shown).with(refused::layer()).try_init();
     if started.is_err() {
         tracing::debug!("logging was started by the embedding program");
     }
-    Ok(())
 }
 
-fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Failure> {
-    let help = "write a level (`debug`) or `module=level,...`";
-    let refused = |reason: String| Failure::input(format!("{VARIABLE} {reason}; {help}"));
+/// Reads what [`VARIABLE`] says; where it says nothing, `level` (`info`, `warn`) holds.
+///
+/// # Errors
+///
+/// [`Error::Filter`] if that is not a filter.
+pub fn filter(level: &str, wanted: Result<String, VarError>) -> Result<LogFilter, Error> {
+    let refused = |reason: String| Error::Filter { variable: VARIABLE, reason };
     match wanted {
         Ok(wanted) if !wanted.trim().is_empty() => EnvFilter::try_new(&wanted)
             .map_err(|error| refused(format!("is `{wanted}`, which is not a filter: {error}"))),
@@ -62,6 +69,7 @@ fn filter(level: &str, wanted: Result<String, VarError>) -> Result<EnvFilter, Fa
             Ok(EnvFilter::new(format!("{level},zenoh=off,symphonia=warn")))
         }
     }
+    .map(LogFilter)
 }
 
 /// Writes the time of day for a person who watches, the date and time where they read it later.
@@ -76,15 +84,12 @@ impl FormatTime for TimeStamp {
     }
 }
 
-/// Tells whether a person wants to hear more than warnings and results.
-pub(crate) fn is_chatty() -> bool {
-    tracing::enabled!(tracing::Level::INFO)
-}
-
-/// Writes to the log file, or to standard error; a line that cannot be written, on a full disk for one, is dropped and ends
+/// Writes to the log file, or as the caller does; a line that cannot be written, on a full disk for one, is dropped and ends
 /// nothing.
 #[derive(Clone, Copy, Debug)]
-struct LogOutput;
+struct LogOutput {
+    write: fn(&str),
+}
 
 impl<'a> MakeWriter<'a> for LogOutput {
     type Writer = Self;
@@ -98,7 +103,7 @@ impl Write for LogOutput {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         // No error is returned: the subscriber would answer it with `eprintln!`, which panics for the same reason.
         if !log_file::write(bytes) {
-            terminal::print(&String::from_utf8_lossy(bytes));
+            (self.write)(&String::from_utf8_lossy(bytes));
         }
         Ok(bytes.len())
     }
@@ -118,6 +123,6 @@ mod tests {
             filter("info", Ok(wanted.to_owned())).unwrap();
         }
         let error = filter("info", Ok("leadtime=loud".to_owned())).unwrap_err();
-        assert!(format!("{error:?}").contains("RUST_LOG is `leadtime=loud`"), "{error:?}");
+        assert!(error.to_string().starts_with("RUST_LOG is `leadtime=loud`"), "{error}");
     }
 }

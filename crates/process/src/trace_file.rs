@@ -14,13 +14,9 @@ use leadtime_trace::{
     CLOSING, RoleSummary, TraceProcess, TraceSpan, TraceSummary, TraceWriter, TrackSummary, opening,
 };
 
-use crate::cli::TraceArgs;
-use crate::exit::{Blame as _, ExitCode, Failure};
+use crate::error::Error;
 use crate::new_file::NewFile;
-use crate::output;
 
-/// Why a trace cannot be written; the file follows.
-const CANNOT: &str = "cannot write a trace to";
 /// How many shares of a thread's time are listed, and the smallest that is.
 const SHARES: (usize, f64) = (4, 0.01);
 /// The share of its time from which on somebody waits much.
@@ -28,30 +24,44 @@ const MUCH: f64 = 0.1;
 
 /// The file, in the process that makes it. One without any span is removed again.
 #[derive(Debug)]
-pub(crate) struct TraceFile(NewFile);
+pub struct TraceFile(NewFile);
 
 impl TraceFile {
-    /// Makes the file if one is asked for; it must not be there.
-    pub(crate) fn create(args: &TraceArgs) -> Result<Option<Self>, Failure> {
-        let Some(path) = &args.file else { return Ok(None) };
-        let file = NewFile::create(path, CANNOT).blame(ExitCode::WrongInput)?;
+    /// Makes the file if one is asked for.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Trace`] if it is there already, or the system refuses it.
+    pub fn create(path: Option<&Path>) -> Result<Option<Self>, Error> {
+        let Some(path) = path else { return Ok(None) };
+        let refused = |source| Error::Trace { path: path.to_owned(), source };
+        let file = NewFile::create(path).map_err(refused)?;
         let head = opening(process::id(), clock::now().as_microsecond());
-        append(path, &head).blame(ExitCode::WrongInput)?;
+        append(path, &head).map_err(refused)?;
         Ok(Some(Self(file)))
     }
 
-    /// Ends the file, once nobody else writes to it, and says what it shows.
-    pub(crate) fn finish(mut self) {
+    /// Ends the file, once nobody else writes to it, and returns what is to be said of what it shows.
+    pub fn finish(mut self) -> Option<String> {
         let path = self.0.path();
         let read = || TraceSummary::read(BufReader::new(File::open(path)?));
         let summary = append(path, CLOSING).and_then(|()| read());
-        match summary {
-            Ok(summary) if summary.roles.is_empty() => return,
-            Ok(summary) => output::note(&describe(path, &summary)),
-            Err(error) => tracing::warn!("{CANNOT} {}: {error}", path.display()),
-        }
+        let told = match summary {
+            Ok(summary) if summary.roles.is_empty() => return None,
+            Ok(summary) => Some(describe(path, &summary)),
+            Err(error) => {
+                warn_of(path, &error);
+                None
+            }
+        };
         self.0.keep();
+        told
     }
+}
+
+/// Says that a trace cannot be written, which ends no run.
+fn warn_of(path: &Path, error: &io::Error) {
+    tracing::warn!("cannot write a trace to {}: {error}", path.display());
 }
 
 fn append(path: &Path, text: &str) -> io::Result<()> {
@@ -99,7 +109,7 @@ fn shares(track: &TrackSummary) -> Option<String> {
 
 /// What one process writes to the file.
 #[derive(Debug)]
-pub(crate) struct ProcessTrace {
+pub struct ProcessTrace {
     /// `None` once it could not be written.
     writer: Option<TraceWriter<File>>,
     has_told_full: bool,
@@ -107,8 +117,8 @@ pub(crate) struct ProcessTrace {
 
 impl ProcessTrace {
     /// Opens the file to write to its end, if a trace is asked for.
-    pub(crate) fn join(args: &TraceArgs, role: &str, name: &str) -> Option<Self> {
-        let path = args.file.as_ref()?;
+    pub fn join(path: Option<&Path>, role: &str, name: &str) -> Option<Self> {
+        let path = path?;
         match File::options().append(true).open(path) {
             Ok(file) => {
                 let (role, name) = (role.to_owned(), name.to_owned());
@@ -117,19 +127,19 @@ impl ProcessTrace {
                 Some(Self { writer, has_told_full: false })
             }
             Err(error) => {
-                tracing::warn!("{CANNOT} {}: {error}", path.display());
+                warn_of(path, &error);
                 None
             }
         }
     }
 
     /// Takes a span in.
-    pub(crate) fn span(&mut self, span: &TraceSpan<'_>) {
+    pub fn span(&mut self, span: &TraceSpan<'_>) {
         self.write(|writer| writer.span(span));
     }
 
     /// Writes what was taken in, so that it is there if the process is killed.
-    pub(crate) fn flush(&mut self) {
+    pub fn flush(&mut self) {
         self.write(TraceWriter::flush);
     }
 

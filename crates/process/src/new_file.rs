@@ -4,43 +4,48 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
-
 /// A file that was not there; removed again unless it is kept.
 #[derive(Debug)]
-pub(crate) struct NewFile {
+pub struct NewFile {
     path: PathBuf,
     file: File,
     is_kept: bool,
 }
 
 impl NewFile {
-    /// Makes it; `cannot` begins the sentence about why it cannot be made.
-    pub(crate) fn create(path: &Path, cannot: &str) -> anyhow::Result<Self> {
+    /// Makes it.
+    ///
+    /// # Errors
+    ///
+    /// If it is there already, or the system refuses it.
+    pub fn create(path: &Path) -> io::Result<Self> {
         let file = File::options().write(true).create_new(true).open(path);
         let file = file.map_err(|error| match error.kind() {
-            io::ErrorKind::AlreadyExists => {
+            kind @ io::ErrorKind::AlreadyExists => {
                 let sentence = "it is there already, and is left as it is: choose another name";
-                anyhow::Error::msg(sentence)
+                io::Error::new(kind, sentence)
             }
-            _ => error.into(),
-        });
-        let file = file.with_context(|| format!("{cannot} {}", path.display()))?;
+            _ => error,
+        })?;
         Ok(Self { path: path.to_owned(), file, is_kept: false })
     }
 
     /// Returns where it is.
-    pub(crate) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// Opens it once more, at the place where it is being written.
-    pub(crate) fn handle(&self) -> io::Result<File> {
+    ///
+    /// # Errors
+    ///
+    /// If the system refuses it.
+    pub fn handle(&self) -> io::Result<File> {
         self.file.try_clone()
     }
 
     /// Lets it stay.
-    pub(crate) fn keep(&mut self) {
+    pub fn keep(&mut self) {
         self.is_kept = true;
     }
 }
