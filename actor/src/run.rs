@@ -27,7 +27,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{debug, info, warn};
 
 use crate::collect::{CollectJob, CollectWorker, Collected, EnvBuilder, RestoredEnvs};
-use crate::job_thread::JobThread;
+use crate::job_thread::{ENDING, JobThread};
 use crate::metrics::Metrics;
 use crate::outbox::EncodedRollout;
 use crate::phases::{self, CollectWait};
@@ -402,17 +402,27 @@ impl Process {
         }
     }
 
-    fn report(self, end: ActorEnd) -> ActorReport {
-        let Actor { welcome, outbox, n_reconnects, .. } = self.actor;
+    fn report(&self, end: ActorEnd) -> ActorReport {
+        let Actor { welcome, outbox, n_reconnects, .. } = &self.actor;
         ActorReport {
-            run: welcome.run,
+            run: welcome.run.clone(),
             end,
             n_steps: self.metrics.n_steps,
             made: outbox.made,
             sent: outbox.sent,
             acknowledged: outbox.acknowledged,
-            n_reconnects,
+            n_reconnects: *n_reconnects,
         }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // Together: one after the other, threads that are busy would take three times as long.
+        let deadline = Instant::now() + ENDING;
+        self.collector.end_by(deadline);
+        self.restorer.end_by(deadline);
+        self.publisher.end_by(deadline);
     }
 }
 

@@ -176,6 +176,7 @@ pub(crate) fn is_wrong_input(error: &LinkError) -> bool {
             | LinkError::TlsTwice(_)
             | LinkError::TlsPath(_)
             | LinkError::AccessList(_)
+            | LinkError::AnotherLearner { .. }
             | LinkError::TooFewFiles(_)
     )
 }

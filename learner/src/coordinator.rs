@@ -49,7 +49,7 @@ const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
 const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as u64;
 /// The most rollouts of one actor that a killed learner can lose: more than an actor makes between two checkpoints.
 const MAX_LOST: u64 = 1 << 20;
-/// The most starts of actors that may report such a loss without being in the checkpoint: they joined after it.
+/// The most starts of actors whose reports of such a loss are believed without their being in the checkpoint: they joined after it.
 const MAX_LOSERS: usize = 1_024;
 
 /// What a run agreed on, as far as decisions depend on it.
@@ -149,7 +149,7 @@ pub struct Coordinator {
     rebalance_due: bool,
     /// Environments may wait for an actor: they are given once for all that has happened.
     orphans_due: bool,
-    /// Starts of actors that reported lost rollouts and were not in the checkpoint.
+    /// Starts of actors whose lost rollouts are in the books, and that were not in the checkpoint.
     n_losers: usize,
     credit_due: BTreeSet<ActorId>,
     effects: Vec<Effect>,
@@ -201,12 +201,13 @@ impl Coordinator {
         let was_member = self.roster.is_member(&key);
         let build = Build { program: hello.program.clone(), cpu: hello.cpu.clone() };
         self.roster.greet(&key, hello.published, build);
-        let n_steps = u64::from(self.settings.spec.n_steps);
-        self.books.roll_back_through(&key, acknowledged, n_steps);
+        if let Some(sender) = self.roster.sender(&key) {
+            sender.acknowledged_before = sender.acknowledged_before.max(acknowledged);
+        }
         self.admit(&key);
         self.credit_due.insert(hello.actor.clone());
         // At least the limit that the welcome's window promises, even if no credit message has been sent yet.
-        let (heard, window) = (self.books.sequence(&key), u64::from(self.window()));
+        let (heard, window) = (self.heard(&key), u64::from(self.window()));
         if let Some(sender) = self.roster.sender(&key) {
             sender.limit = sender.limit.max(Sequence(heard.0 + window));
         }
@@ -214,6 +215,23 @@ impl Coordinator {
             self.give_again_if_quiet(&key);
         }
         Ok(heard.next())
+    }
+
+    /// Returns how far a sender has been heard, by this learner or one before it.
+    fn heard(&mut self, key: &SenderKey) -> Sequence {
+        let before = self.roster.sender(key).map(|sender| sender.acknowledged_before);
+        self.books.sequence(key).max(before.unwrap_or_default())
+    }
+
+    /// Enters in the books what a killed learner took with it, now that this sender has shown that it works for this one: by an answer
+    /// to an order, or a rollout. A hello shows nothing, for another learner of the run's name hears it, too.
+    fn enter_lost(&mut self, key: &SenderKey) {
+        let (known, heard) = (self.books.sequence(key), self.heard(key));
+        if heard > known {
+            self.n_losers += usize::from(known == Sequence(0));
+            let n_steps = u64::from(self.settings.spec.n_steps);
+            self.books.roll_back_through(key, heard, n_steps);
+        }
     }
 
     /// Gives a member its environments again if it has delivered nothing for [`IDLE_TICKS`]: it has dropped them, or somebody else
@@ -241,17 +259,16 @@ impl Coordinator {
         if !consistent {
             return Err(HelloRefusal::Nonsense);
         }
-        let (acknowledged, heard) = (Sequence(first - 1), self.books.sequence(key));
-        if acknowledged > heard {
+        let (acknowledged, known) = (Sequence(first - 1), self.books.sequence(key));
+        if acknowledged > known {
             let is_new = self.roster.sender(key).is_none_or(|sender| !sender.was_heard());
-            let stranger = heard == Sequence(0);
-            let credible = is_new && acknowledged.0 - heard.0 <= MAX_LOST;
-            // A stranger's report stays in the books, and so in every checkpoint: the number of such reports is
-            // bounded.
+            let stranger = known == Sequence(0);
+            let credible = is_new && acknowledged.0 - known.0 <= MAX_LOST;
+            // Who reports a loss and answers an order stays in the books, and so in every checkpoint: the number of such reports is
+            // bounded, by this and the number of senders that are known at once.
             if !credible || (stranger && self.n_losers >= MAX_LOSERS) {
                 return Err(HelloRefusal::Nonsense);
             }
-            self.n_losers += usize::from(stranger);
         }
         Ok(acknowledged)
     }
@@ -280,6 +297,7 @@ impl Coordinator {
     /// Notes that an actor has answered an order of this membership: from its first answer on it may have environments.
     pub fn answered(&mut self, key: &SenderKey, membership: MembershipNumber) {
         if self.is_current(key, membership) && self.roster.answer(key) {
+            self.enter_lost(key);
             // Its share of what others step waits for the end of the update; only what nobody steps is given out at once.
             self.rebalance_due = true;
             self.begin_if_enough();
@@ -357,7 +375,6 @@ impl Coordinator {
     /// Takes in a rollout message.
     pub fn rollout(&mut self, actor: ActorId, header: &Header, payload: &[u8]) {
         let key = (actor, header.incarnation);
-        let heard = self.books.sequence(&key);
         let Some(sender) = self.roster.sender(&key) else {
             let text = "it never said hello to this learner";
             return self.refuse_stranger(Some(key.0), &Refusal::new(RefusalCause::Stranger, text));
@@ -372,6 +389,8 @@ impl Coordinator {
             return;
         }
         let (limit, made_before) = (sender.limit, sender.made_before);
+        self.enter_lost(&key);
+        let heard = self.books.sequence(&key);
         // Sequence and credit come before the payload: they cost nothing, and a copy must not be read a second time.
         if header.sequence <= heard {
             self.credit_due.insert(key.0);
@@ -610,7 +629,7 @@ impl Coordinator {
                 epoch: epoch.0,
                 iteration: newest.map(|(iteration, _)| iteration.0),
                 staleness: newest.map(|(_, staleness)| staleness),
-                acknowledged: self.books.sequence(&key).0,
+                acknowledged: self.books.sequence(&key).max(sender.acknowledged_before).0,
                 limit: sender.limit.0,
                 refused: sender.causes().clone(),
                 silent_s: n_quiet_ticks as f64 * TICK.as_secs_f64(),
@@ -880,7 +899,7 @@ impl Coordinator {
     fn credit(&mut self, actor: &ActorId) -> Option<Credit> {
         let incarnation = *self.roster.members().get(actor)?;
         let key = (actor.clone(), incarnation);
-        let acknowledged = self.books.sequence(&key);
+        let acknowledged = self.heard(&key);
         let room = u64::from(self.room());
         let sender = self.roster.sender(&key)?;
         // A limit never falls: the actor may have published up to it by now.

@@ -31,6 +31,9 @@ pub struct MembershipNumber(u64);
 pub(crate) struct SenderState {
     /// Rollouts up to this one were made before it could have environments of this learner: superseded.
     pub(crate) made_before: Sequence,
+    /// Rollouts up to this one were acknowledged to it before, as it says. They enter the books once it works for this learner: it
+    /// says so to every learner of the run's name.
+    pub(crate) acknowledged_before: Sequence,
     /// The highest sequence it may publish.
     pub(crate) limit: Sequence,
     /// It sent too many refused messages.

@@ -33,6 +33,18 @@ fn actor(place: &Place, id: &str) -> Running {
     place.start(&["actor --connect-timeout 10s --connect", &endpoint, "--id", id])
 }
 
+/// Starts a router, at the address of the one before if that was killed.
+fn router(place: &Place) -> Running {
+    let router = place.start(&["router --listen", &place.endpoint("router")]);
+    wait_for_words(&router, "router listens");
+    router
+}
+
+/// Starts a learner that listens nowhere.
+fn learner_below(router: &str, place: &Place, extra: &str) -> Running {
+    place.start(&[&RUN.replace("--listen", "--connect"), router, extra])
+}
+
 /// Lets a learner and its actors run to their ends.
 #[track_caller]
 fn finish<const N: usize>(learner: Running, actors: [Running; N]) -> Finished {
@@ -130,6 +142,47 @@ fn a_learner_killed_and_restarted_changes_nothing() {
     finish(learner(&place, ""), [helper]).saying(&["resumed"]);
     assert_eq!(digest(&place), undisturbed());
     assert!(journal(&place.run("r")).into_iter().eq(1..=40), "every update is there once");
+}
+
+#[test]
+fn a_router_killed_and_restarted_finds_learner_and_actors_again_and_changes_nothing() {
+    let place = Place::new();
+    let endpoint = place.endpoint("router");
+    let first = router(&place);
+    let learner = learner_below(&endpoint, &place, "");
+    let helper = place.start(&["actor --id a --connect", &endpoint]);
+    wait_for_updates(&place.run("r"), 5);
+    first.kill();
+    wait_for_words(&learner, "actor left");
+    let second = router(&place);
+    finish(learner, [helper]);
+    assert_eq!(digest(&place), undisturbed());
+    assert!(journal(&place.run("r")).into_iter().eq(1..=40), "every update is there once");
+    signal("TERM", second.id());
+    second.finish(PATIENCE).with_code(0);
+}
+
+#[test]
+fn two_learners_of_one_run_name_are_told_of_each_other_and_count_what_is_their_own() {
+    let (place, other) = (Place::new(), Place::new());
+    let endpoint = place.endpoint("router");
+    let router = router(&place);
+    let first = learner_below(&endpoint, &place, LONG);
+    let helper = place.start(&["actor --id a --connect", &endpoint]);
+    wait_for_updates(&place.run("r"), 3);
+    let second = learner_below(&endpoint, &other, LONG);
+    for learner in [&first, &second] {
+        wait_for_words(learner, "another learner of this run name is on the same network");
+    }
+    signal("TERM", second.id());
+    let told = second.finish(PATIENCE).with_code(130).stdout;
+    assert!(told.contains("0 rollouts, all accounted for"), "{told}");
+    let n_updates = updates(&place.run("r"));
+    wait_for_updates(&place.run("r"), n_updates + 3);
+    signal("TERM", first.id());
+    first.finish(PATIENCE).with_code(130);
+    helper.finish(PATIENCE);
+    drop(router);
 }
 
 #[test]

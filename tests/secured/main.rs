@@ -126,6 +126,27 @@ fn a_run_by_certificate_has_the_same_weights_and_strangers_get_nowhere() {
 }
 
 #[test]
+fn a_second_learner_of_a_run_does_not_start_and_one_that_was_killed_is_started_again_at_once() {
+    let (place, other) = (Place::new(), Place::new());
+    certificates(&place, "pki", &[("router", "r1"), ("learner", "l1"), ("actor", "a1")]);
+    place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
+    let router = place.start(&["router --listen tls/127.0.0.1:0 --acl acl.json5 --tls pki/r1"]);
+    let there = address(&router);
+    let learner = || place.start(&[LONG_RUN, "--tls pki/l1 --connect", &there]);
+    let first = learner();
+    let helper = place.start(&["actor --tls pki/a1 --connect", &there]);
+    wait_for_words(&first, "actor joined");
+    let second = other.finish(&[LONG_RUN, "--tls", &place.file("pki/l1"), "--connect", &there]);
+    second.with_code(2).saying(&["another learner of run `r` is at work at", &there]);
+    first.kill();
+    let again = learner();
+    wait_for_words(&again, "actor joined");
+    signal("TERM", again.id());
+    again.finish(PATIENCE).with_code(130);
+    helper.finish(PATIENCE);
+}
+
+#[test]
 fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     let place = Place::new();
     certificates(&place, "pki", &[("learner", "l1"), ("actor", "a1")]);

@@ -7,8 +7,8 @@
 //! ```text
 //! actor      in   its presence, orders to it, its rollouts and metrics, its credit; asks hello and weights, hears news
 //!            out  the answers to that
-//! learner    in   presence of learners; answers hello and weights; orders, credit, news
-//!            out  everything that actors send
+//! learner    in   presence of learners; answers hello and weights; orders, credit, news; asks whether another one answers
+//!            out  everything that actors send; the answers to that
 //! observer   in   looks at presence, metrics, news and weights; asks for history and what the run is
 //! recorder   in   as an observer, and rollouts; reads everything of notifiers at work, and asks for their sessions
 //! service    in   its presence, that of its clients; answers who asks for a session; says, and takes what is observed
@@ -431,12 +431,12 @@ fn rules_of(role: Role) -> Vec<AccessRule> {
             rule("in", &["liveliness_token"], [keys.learners()]),
             rule("in", LOOK, [keys.members()]),
             rule("in", serve, [keys.hello(), keys.pulls(), history.clone(), about.clone()]),
-            rule("in", &["query"], [keys.orders("*")]),
+            rule("in", &["query"], [keys.orders("*"), keys.pulls()]),
             rule("in", &["put"], [keys.credit("*"), keys.news(), keys.learner_metrics()]),
             rule("in", &["declare_subscriber"], [keys.all_rollouts(), keys.all_metrics()]),
             rule("out", &["put"], [keys.all_rollouts(), keys.all_metrics()]),
             rule("out", &["query"], [keys.hello(), keys.pulls(), history, about]),
-            rule("out", &["reply", "declare_queryable"], [keys.orders("*")]),
+            rule("out", &["reply", "declare_queryable"], [keys.orders("*"), keys.pulls()]),
             rule("out", &["liveliness_token"], [keys.members()]),
             rule(
                 "out",

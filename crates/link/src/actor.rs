@@ -501,7 +501,7 @@ fn read_answer(
 ) -> Result<(Arc<PeerKey>, HelloReply), Refusal> {
     let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
     let answer = wire::unseal::<HelloReply>(attachment, payload, HELLO_REPLY, keys)?;
-    wire::answers(number, answer.number)?;
+    wire::answers(number, answer.header.sequence)?;
     Ok((answer.key, answer.message))
 }
 

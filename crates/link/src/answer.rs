@@ -161,7 +161,7 @@ impl<T: Serialize> Responder<T> {
         question: &ProvedMessage<Q>,
     ) -> Self {
         let (query, answers) = (Some(query), answers.clone());
-        let (key, number) = (Arc::clone(&question.key), question.number);
+        let (key, number) = (Arc::clone(&question.key), question.header.sequence);
         Self { query, answers, schema, key, number, answer: PhantomData }
     }
 

@@ -140,25 +140,31 @@ fn read_whole(sample: &Sample, key: &str, expected: Expected) -> Result<(Header,
 }
 
 /// Measures the round-trip time to a run's learner: the shortest of a few short questions.
-///
-/// It asks for weights without saying which, which every learner answers with a sentence.
 pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Duration> {
-    let key = Keys::PullsOf(run).to_string();
     let mut shortest = Duration::MAX;
     for _ in 0..N_PROBES {
-        let (schema, qos) = (Schema::Weights, wire::CONTROL);
-        let question = Inquiry::without_payload(&key, String::new(), schema, qos, PROBE_TIMEOUT);
         let asked = Instant::now();
-        match ask(session, question, |_| Ok(()), |()| true).await? {
-            InquiryEnd::Good(()) | InquiryEnd::Rejected(_) => {
-                shortest = shortest.min(asked.elapsed());
-            }
-            InquiryEnd::Nobody | InquiryEnd::TimedOut => {
-                return Err(Error::NoAnswer { key, timeout: PROBE_TIMEOUT });
-            }
+        if !is_answered(session, run, PROBE_TIMEOUT).await? {
+            let key = Keys::PullsOf(run).to_string();
+            return Err(Error::NoAnswer { key, timeout: PROBE_TIMEOUT });
         }
+        shortest = shortest.min(asked.elapsed());
     }
     Ok(shortest)
+}
+
+/// Returns whether a learner of this run answers a short question within this time.
+///
+/// It is asked for weights without being told which, and every learner answers that with a sentence.
+pub(crate) async fn is_answered(
+    session: &Session,
+    run: &RunName,
+    timeout: Duration,
+) -> Result<bool> {
+    let (key, schema, qos) = (Keys::PullsOf(run).to_string(), Schema::Weights, wire::CONTROL);
+    let question = Inquiry::without_payload(&key, String::new(), schema, qos, timeout);
+    let end = ask(session, question, |_| Ok(()), |()| true).await?;
+    Ok(matches!(end, InquiryEnd::Good(()) | InquiryEnd::Rejected(_)))
 }
 
 /// Asks everyone at the key, and reads answers until one is the best there can be. Else the first that can be used counts, and

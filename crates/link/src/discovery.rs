@@ -10,10 +10,12 @@ use zenoh::key_expr::OwnedKeyExpr;
 use zenoh::session::Session;
 
 use crate::keys::{self, Keys};
-use crate::{ConnectSettings, Error, Result, session};
+use crate::{ConnectSettings, Error, Result, ask, session};
 
 /// Longest wait for one answer to "which learners are there?".
 const LOOK: Duration = Duration::from_secs(1);
+/// How long a learner that is present may take to show that it is alive: longer than one that was killed stays visible.
+const PROOF_OF_LIFE: Duration = Duration::from_secs(3);
 /// How long a run that was named may be missing while others are there.
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 /// First and longest pause between attempts to find a run.
@@ -27,6 +29,14 @@ pub(crate) async fn runs(session: &Session) -> Result<BTreeSet<RunName>> {
     let (keys, action) = (Keys::Learners, "look for learners on");
     let found = tokens(session, keys, action, LOOK, MAX_LEARNERS).await?;
     Ok(found.iter().filter_map(|key| keys::parse_alive(key)).map(|alive| alive.run).collect())
+}
+
+/// Returns whether a learner of this run is there and answers: the presence of one that was killed may last a moment longer.
+pub(crate) async fn is_led(session: &Session, run: &RunName) -> Result<bool> {
+    let (keys, action) = (Keys::LearnerOf(run), "look for learners on");
+    let found = tokens(session, keys, action, LOOK, MAX_LEARNERS).await?;
+    let is_present = found.iter().any(|key| keys::parse_alive(key).is_some());
+    Ok(is_present && ask::is_answered(session, run, PROOF_OF_LIFE).await?)
 }
 
 /// Finds a run: the named one, or the only one present. Looks until `settings.timeout` has passed since `started`, and for

@@ -135,6 +135,16 @@ pub enum Error {
         /// For how long it was waited.
         timeout: Duration,
     },
+    /// Another learner of this run is at work on the same network.
+    #[error(
+        "another learner of run `{run}` is at work at {endpoints}: stop it, or give this run another name (--name)"
+    )]
+    AnotherLearner {
+        /// The run.
+        run: RunName,
+        /// The addresses of the routers.
+        endpoints: String,
+    },
     /// Several runs share the address and none was named.
     #[error("several runs share {endpoints}: name one of {}", list(runs))]
     SeveralRuns {

@@ -1,8 +1,8 @@
 //! The learner's end: one run, its actors' messages as events, and what it tells them.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, Weak};
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
@@ -11,8 +11,8 @@ use leadtime_proto::receive::{CONTROL_REPLY, HELLO};
 use leadtime_proto::{
     ActorId, DomainName, Incarnation, PolicyVersion, RefusalCause, RunName, Sequence,
 };
-use tokio::time::interval;
-use tracing::debug;
+use tokio::time::{MissedTickBehavior, interval};
+use tracing::{debug, warn};
 use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::{Publisher, Subscriber};
@@ -26,11 +26,14 @@ use crate::ask::{Inquiry, InquiryEnd, ask_for};
 use crate::event::LearnerEvent;
 use crate::intake::{RefusalCounts, RolloutIntake, malformed_key};
 use crate::keys::{Alive, INCARNATION, Key, Keys, Member};
+use crate::lock::lock;
+use crate::others::OtherLearners;
 use crate::proof::{self, StartKey};
 use crate::pubsub::{appear, publisher, put, put_metrics, subscribe, take_questions, watch};
 use crate::queue::Class;
+use crate::redial::{ClientSession, LOOK_EVERY};
 use crate::weights::{self, WeightStore};
-use crate::{Error, HelloResponder, ListenSettings, Result, session, wire};
+use crate::{Error, HelloResponder, ListenSettings, Result, discovery, session, wire};
 
 /// How long an order is repeated when nobody is there to take it.
 const NOBODY_GRACE: Duration = Duration::from_secs(1);
@@ -42,32 +45,51 @@ const N_ANSWERING: usize = 4;
 /// A learner's place on the network.
 #[derive(Debug)]
 pub struct LearnerLink {
-    run: RunName,
-    incarnation: Incarnation,
     locators: Vec<String>,
-    intake: Arc<RolloutIntake>,
-    store: Arc<WeightStore>,
-    announcer: Arc<Publisher<'static>>,
     is_dead: Arc<AtomicBool>,
     n_orders: AtomicU64,
     upkeep: tokio::task::JoinHandle<()>,
-    _taken: [Subscriber<()>; 2],
-    _answered: [Queryable<()>; 2],
+    place: Arc<LearnerPlace>,
+}
+
+/// What a learner takes and answers, and the session on which it does, whose place another one can take.
+#[derive(Debug)]
+struct LearnerPlace {
+    run: RunName,
+    domain: DomainName,
+    incarnation: Incarnation,
+    intake: Arc<RolloutIntake>,
+    store: Arc<WeightStore>,
     answers: Answers,
+    /// For observers; `None` until there is something to tell.
+    archive: Mutex<Option<Archive>>,
+    others: Arc<Mutex<OtherLearners>>,
+    /// `None` until the link is open.
+    declared: Mutex<Option<LearnerDeclarations>>,
+    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
+    session: ClientSession,
+}
+
+/// Everything that a learner has declared on a session.
+#[derive(Debug)]
+struct LearnerDeclarations {
+    announcer: Arc<Publisher<'static>>,
+    _taken: [Subscriber<()>; 3],
+    _answered: [Queryable<()>; 2],
     /// For observers; empty until there is something to tell.
     archive: Vec<Queryable<()>>,
     _alive: LivelinessToken,
-    /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
-    session: Session,
 }
 
 impl LearnerLink {
-    /// Opens a run at an address; from now on actors find it.
+    /// Opens a run at an address; from now on actors find it. If it only connects to a router, a connection that has had nobody at
+    /// its other end for [`STRANDED`](crate::redial::STRANDED) is replaced by another from now on.
     ///
     /// # Errors
     ///
     /// [`Error::AddressInUse`], [`Error::NotASocket`], [`Error::Listen`], [`Error::Unreachable`] (a router that is not
-    /// there), [`Error::Name`] (a domain that cannot be part of a key) or [`Error::Network`].
+    /// there), [`Error::AnotherLearner`] (with a certificate, behind a router: another learner of the run answers there),
+    /// [`Error::Name`] (a domain that cannot be part of a key) or [`Error::Network`].
     pub async fn open(
         run: &RunName,
         domain: &str,
@@ -75,62 +97,35 @@ impl LearnerLink {
         settings: &ListenSettings,
     ) -> Result<(Self, flume::Receiver<LearnerEvent>)> {
         let (domain, incarnation) = (DomainName::new(domain)?, start.incarnation());
-        let session = session::listen(settings).await?;
-        let locators = session.info().locators().await;
+        let session = ClientSession::of_learner(settings).await?;
+        if let Err(error) = check_alone(&session.now(), run, settings).await {
+            drop(session.close().await);
+            return Err(error);
+        }
+        let locators = session.now().info().locators().await;
         let (intake, events) = RolloutIntake::new(settings, start.clone());
-        let (intake, store) = (Arc::new(intake), Arc::new(WeightStore::new(start.clone())));
-        let answers = Answers::start(N_ANSWERING)?;
-        let announcer = publisher(
-            &session,
-            Key::Announcement(run, &domain),
-            wire::NOTICE,
-            Encoding::default(),
-        )?;
-        let announcer = Arc::new(announcer);
-        let taker = Arc::clone(&intake);
-        let rollouts = subscribe(&session, Keys::RolloutsOf(run, &domain), move |sample| {
-            taker.rollout(&sample);
-        })?;
-        let taker = Arc::clone(&intake);
-        let actors = watch(&session, Keys::ActorsOf(run), move |alive, kind| {
-            on_presence(&taker, alive, kind);
-        })?;
-        let (answerer, offered) = (answers.clone(), Arc::clone(&store));
-        let pulls = take_questions(&session, Key::Weights(run, &domain), move |mut query| {
-            unload(&mut query);
-            answerer.give(PendingReply::Weights(query, Arc::clone(&offered)));
-        })?;
-        let taker = Arc::clone(&intake);
-        let answerer = answers.clone();
-        let hellos = take_questions(&session, Key::Hello(run), move |query| {
-            on_hello(&taker, &answerer, query);
-        })?;
-        // Declared last: a peer that sees the token may rely on everything else.
-        let alive = appear(&session, Key::Alive(run, &Member::Learner, incarnation))?;
-        let is_dead = Arc::new(AtomicBool::new(false));
-        let upkeep = upkeep(
-            session.clone(),
-            !locators.is_empty(),
-            Arc::clone(&is_dead),
-            Arc::clone(&announcer),
-            Arc::clone(&store),
-        );
-        let link = Self {
-            session,
+        let place = LearnerPlace {
             run: run.clone(),
+            domain,
             incarnation,
+            intake: Arc::new(intake),
+            store: Arc::new(WeightStore::new(start.clone())),
+            answers: Answers::start(N_ANSWERING)?,
+            archive: Mutex::default(),
+            others: Arc::default(),
+            declared: Mutex::default(),
+            session,
+        };
+        let declared = place.declare(&place.session.now())?;
+        *lock(&place.declared) = Some(declared);
+        let (place, is_dead) = (Arc::new(place), Arc::new(AtomicBool::new(false)));
+        let upkeep = upkeep(Arc::downgrade(&place), !locators.is_empty(), Arc::clone(&is_dead));
+        let link = Self {
             locators: locators.iter().map(ToString::to_string).collect(),
-            intake,
-            store,
-            announcer,
             is_dead,
             n_orders: AtomicU64::new(0),
             upkeep: tokio::spawn(upkeep),
-            _taken: [rollouts, actors],
-            _answered: [pulls, hellos],
-            answers,
-            archive: Vec::new(),
-            _alive: alive,
+            place,
         };
         Ok((link, events))
     }
@@ -155,23 +150,23 @@ impl LearnerLink {
     ///
     /// [`Error::Network`] if it cannot be announced.
     pub fn offer_weights(&self, version: PolicyVersion, weights: Arc<[u8]>) -> Result<()> {
-        self.store.put(version, weights);
-        weights::announce(&self.announcer, &self.store)
+        self.place.store.put(version, weights);
+        self.place.announce()
     }
 
     /// Stops offering versions older than `oldest_kept`; the last few stay for actors that have just received their announcement.
     pub fn retire_weights(&self, oldest_kept: PolicyVersion) {
-        self.store.retire(oldest_kept);
+        self.place.store.retire(oldest_kept);
     }
 
     /// Lists the versions on offer from `oldest` on.
     pub fn weights_since(&self, oldest: PolicyVersion) -> Vec<(PolicyVersion, Arc<[u8]>)> {
-        self.store.since(oldest)
+        self.place.store.since(oldest)
     }
 
     /// Returns the announcement of the weights that a welcome carries.
     pub fn announcement(&self) -> Announcement {
-        self.store.announcement()
+        self.place.store.announcement()
     }
 
     /// Tells an actor its credit. May be lost; repeat it. A start of it that was not made welcome, or is gone, is told none.
@@ -180,11 +175,12 @@ impl LearnerLink {
     ///
     /// [`Error::Network`] if it cannot be sent.
     pub fn send_credit(&self, actor: &ActorId, credit: Credit) -> Result<()> {
-        let admitted = &self.intake.admitted;
+        let place = &self.place;
+        let admitted = &place.intake.admitted;
         let Some(peer) = admitted.member_key(actor, credit.incarnation) else { return Ok(()) };
-        let key = Key::Credit(&self.run, actor);
+        let key = Key::Credit(&place.run, actor);
         let (header, payload) = wire::seal(Schema::Credit, &peer, Sequence(0), &credit)?;
-        put(&self.session, key, wire::NOTICE, &header, payload)
+        put(&place.session.now(), key, wire::NOTICE, &header, payload)
     }
 
     /// Gives one start of an actor an order and waits for its answer.
@@ -200,8 +196,9 @@ impl LearnerLink {
         control: &Control,
         timeout: Duration,
     ) -> Result<ControlReply> {
-        let key = Key::Control(&self.run, actor).to_string();
-        let Some(peer) = self.intake.admitted.member_key(actor, incarnation) else {
+        let place = &self.place;
+        let key = Key::Control(&place.run, actor).to_string();
+        let Some(peer) = place.intake.admitted.member_key(actor, incarnation) else {
             return Err(Error::NoAnswer { key, timeout });
         };
         let started = Instant::now();
@@ -221,7 +218,7 @@ impl LearnerLink {
                 let (attachment, payload) = (sample.attachment(), Some(sample.payload()));
                 wire::unseal_answer(attachment, payload, CONTROL_REPLY, &peer, number)
             };
-            match ask_for(&self.session, question, read, |_| true).await? {
+            match ask_for(&place.session.now(), question, read, |_| true).await? {
                 InquiryEnd::Good(reply) => return Ok(reply),
                 InquiryEnd::Rejected(reason) => return Err(Error::Rejected { key, reason }),
                 InquiryEnd::Nobody if started.elapsed() < timeout.min(NOBODY_GRACE) => {
@@ -236,7 +233,7 @@ impl LearnerLink {
 
     /// Takes no more rollouts from this start of an actor; they are only counted.
     pub fn cut_off(&self, actor: &ActorId, incarnation: Incarnation) {
-        self.intake.cut_off(actor, incarnation);
+        self.place.intake.cut_off(actor, incarnation);
     }
 
     /// Answers observers who ask what the run is and how it went so far.
@@ -245,9 +242,14 @@ impl LearnerLink {
     ///
     /// [`Error::Thread`], or [`Error::Network`] if the questions' places cannot be declared.
     pub fn answer_observers(&mut self, archive: Archive) -> Result<()> {
-        let (run, incarnation) = (&self.run, self.incarnation);
-        let served = archive::serve(&self.session, run, incarnation, &self.answers, archive)?;
-        self.archive = served.into();
+        let place = &self.place;
+        // Locked, so that no other session takes this one's place meanwhile.
+        let mut declared = lock(&place.declared);
+        let served = place.serve(&place.session.now(), archive.clone())?;
+        *lock(&place.archive) = Some(archive);
+        if let Some(declared) = declared.as_mut() {
+            declared.archive = served.into();
+        }
         Ok(())
     }
 
@@ -257,7 +259,8 @@ impl LearnerLink {
     ///
     /// [`Error::Network`] if they cannot be sent.
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
-        put_metrics(&self.session, &self.run, &Member::Learner, self.incarnation, json)
+        let LearnerPlace { run, incarnation, session, .. } = &*self.place;
+        put_metrics(&session.now(), run, &Member::Learner, *incarnation, json)
     }
 
     /// Returns the refused messages since the last call that were no [`LearnerEvent::Refused`]: those for which there
@@ -266,17 +269,17 @@ impl LearnerLink {
     /// They are no evidence against a sender: an honest one overflows when the learner is slow to read. The caller
     /// counts them in its books.
     pub fn take_uncounted(&self) -> RefusalCounts {
-        self.intake.take_uncounted()
+        self.place.intake.take_uncounted()
     }
 
     /// Returns the bytes of rollouts that wait in the event queue, by the name in their keys.
     pub fn queued_bytes(&self) -> BTreeMap<ActorId, usize> {
-        self.intake.queued_bytes()
+        self.place.intake.queued_bytes()
     }
 
     /// Returns how many bytes of messages were received and not looked at yet.
     pub fn n_queued_bytes(&self) -> usize {
-        self.intake.n_queued_bytes()
+        self.place.intake.n_queued_bytes()
     }
 
     /// Leaves the network, within a limited time.
@@ -286,7 +289,7 @@ impl LearnerLink {
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         self.upkeep.abort();
-        session::close(&self.session).await
+        self.place.session.close().await
     }
 }
 
@@ -296,24 +299,123 @@ impl Drop for LearnerLink {
     }
 }
 
-/// Checks the session and repeats the announcement, once a second, for as long as the link lives.
-async fn upkeep(
-    session: Session,
-    listens: bool,
-    is_dead: Arc<AtomicBool>,
-    announcer: Arc<Publisher<'static>>,
-    store: Arc<WeightStore>,
-) {
+impl LearnerPlace {
+    /// Declares on a session everything that a learner needs.
+    fn declare(&self, session: &Session) -> Result<LearnerDeclarations> {
+        let (run, domain) = (&self.run, &self.domain);
+        let news = Key::Announcement(run, domain);
+        let announcer = publisher(session, news, wire::NOTICE, Encoding::default())?;
+        let taker = Arc::clone(&self.intake);
+        let rollouts = subscribe(session, Keys::RolloutsOf(run, domain), move |sample| {
+            taker.rollout(&sample);
+        })?;
+        let taker = Arc::clone(&self.intake);
+        let actors = watch(session, Keys::ActorsOf(run), move |alive, kind| {
+            on_presence(&taker, alive, kind);
+        })?;
+        lock(&self.others).forget();
+        let (others, own) = (Arc::clone(&self.others), self.incarnation);
+        let learners = watch(session, Keys::LearnerOf(run), move |alive, kind| {
+            let Some(start) = alive.map(|alive| alive.incarnation) else { return };
+            if start != own {
+                let is_there = matches!(kind, SampleKind::Put);
+                lock(&others).heard(start, is_there, Instant::now());
+            }
+        })?;
+        let (answerer, offered) = (self.answers.clone(), Arc::clone(&self.store));
+        let pulls = take_questions(session, Key::Weights(run, domain), move |mut query| {
+            unload(&mut query);
+            answerer.give(PendingReply::Weights(query, Arc::clone(&offered)));
+        })?;
+        let (taker, answerer) = (Arc::clone(&self.intake), self.answers.clone());
+        let hellos = take_questions(session, Key::Hello(run), move |query| {
+            on_hello(&taker, &answerer, query);
+        })?;
+        let archive = lock(&self.archive).clone();
+        let archive = archive.map(|archive| self.serve(session, archive)).transpose()?;
+        Ok(LearnerDeclarations {
+            announcer: Arc::new(announcer),
+            _taken: [rollouts, actors, learners],
+            _answered: [pulls, hellos],
+            archive: archive.into_iter().flatten().collect(),
+            // Declared last: a peer that sees the token may rely on everything else.
+            _alive: appear(session, Key::Alive(run, &Member::Learner, self.incarnation))?,
+        })
+    }
+
+    /// Answers observers on a session.
+    fn serve(&self, session: &Session, archive: Archive) -> Result<[Queryable<()>; 2]> {
+        archive::serve(session, &self.run, self.incarnation, &self.answers, archive)
+    }
+
+    /// Tells everyone which weights there are.
+    fn announce(&self) -> Result<()> {
+        let announcer = lock(&self.declared).as_ref().map(|it| Arc::clone(&it.announcer));
+        announcer.map_or(Ok(()), |announcer| weights::announce(&announcer, &self.store))
+    }
+
+    /// Replaces a connection to a router that leads nowhere, if one attempt opens another.
+    async fn renew(&self) {
+        let Some(session) = self.session.successor().await else { return };
+        let done_with = match self.take_over(&session) {
+            Ok(before) => before,
+            Err(error) => {
+                debug!(%error, "the run cannot be declared on the new connection");
+                session
+            }
+        };
+        drop(session::close(&done_with).await);
+    }
+
+    /// Moves everything to another session; returns the one before it.
+    fn take_over(&self, session: &Session) -> Result<Session> {
+        let mut declared = lock(&self.declared);
+        *declared = Some(self.declare(session)?);
+        Ok(self.session.replace(session.clone()))
+    }
+}
+
+/// Checks, where it can be known, that no other learner of this run is alive: its actors and ours would be turned away, or change
+/// sides.
+async fn check_alone(session: &Session, run: &RunName, settings: &ListenSettings) -> Result<()> {
+    // Without certificates anybody can play a learner, and would keep ours from starting.
+    if settings.identity.is_none() || settings.connect.is_empty() {
+        return Ok(());
+    }
+    if discovery::is_led(session, run).await? {
+        let endpoints = session::describe(&settings.connect);
+        return Err(Error::AnotherLearner { run: run.clone(), endpoints });
+    }
+    Ok(())
+}
+
+/// Once a second, for as long as the link lives: checks the session, repeats the announcement, and reports other learners. Every few
+/// seconds it replaces a connection that leads nowhere, here and not beside, where the old one would be found dead.
+async fn upkeep(place: Weak<LearnerPlace>, listens: bool, is_dead: Arc<AtomicBool>) {
     let mut ticks = interval(weights::REPEAT);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut looked_at = Instant::now();
     loop {
         ticks.tick().await;
-        if session::is_dead(&session, listens).await {
+        let Some(place) = place.upgrade() else { return };
+        if looked_at.elapsed() >= LOOK_EVERY {
+            looked_at = Instant::now();
+            place.renew().await;
+        }
+        if session::is_dead(&place.session.now(), listens).await {
             is_dead.store(true, Ordering::Relaxed);
         }
-        if !store.announcement().versions.is_empty()
-            && let Err(error) = weights::announce(&announcer, &store)
+        if !place.store.announcement().versions.is_empty()
+            && let Err(error) = place.announce()
         {
             debug!(%error, "announcement could not be repeated");
+        }
+        if lock(&place.others).is_news(Instant::now()) {
+            warn!(
+                run = %place.run,
+                "another learner of this run name is on the same network: actors may be turned away, or go to the other \
+                 one; give one of the two another name (--name), or a router of its own"
+            );
         }
     }
 }
@@ -357,5 +459,74 @@ fn on_hello(intake: &RolloutIntake, answers: &Answers, mut query: Query) {
                 intake.count(None, RefusalCause::Overflow);
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::Epoch;
+
+    use super::*;
+    use crate::test_support::*;
+    use crate::{ActorEvent, ObserverLink};
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_learner_whose_connection_leads_nowhere_goes_on_with_another_and_is_asked_as_before()
+    {
+        let (site, elsewhere) = (Site::new(), Site::new());
+        let _router = site.raw("router").await;
+        let settings = ListenSettings {
+            connect: vec![site.endpoint.clone()],
+            ..ListenSettings::new(Vec::new())
+        };
+        let start = learner_start();
+        let opened = LearnerLink::open(&run("one"), DOMAIN, &start, &settings).await;
+        let (mut learner, events) = opened.unwrap();
+        let history =
+            |_: u64, _: usize| -> Result<Vec<u8>, String> { Err("there is none".to_owned()) };
+        let archive = Archive { about: b"{}".to_vec(), history: Arc::new(history) };
+        learner.answer_observers(archive).unwrap();
+        learner.offer_weights(PolicyVersion(1), b"kept".as_slice().into()).unwrap();
+        let (actor, actor_events) = site.welcomed("a", &events).await;
+        let is_told_of = async |comes: bool| {
+            let told = until(&actor_events, |event| match event {
+                ActorEvent::LearnerJoined(LEARNER) if comes => Some(()),
+                ActorEvent::LearnerLeft(LEARNER) if !comes => Some(()),
+                _ => None,
+            });
+            told.await;
+        };
+        is_told_of(true).await;
+
+        let nowhere = elsewhere.raw("peer").await;
+        learner.place.session.replace(nowhere).close().await.unwrap();
+        is_told_of(false).await;
+        learner.place.renew().await;
+        assert!(!session::has_peer(&learner.place.session.now()).await, "not yet");
+        learner.place.session.wait_long();
+        learner.place.renew().await;
+        is_told_of(true).await;
+
+        say_hello(&actor, "a", &events).await;
+        assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"kept");
+        let (header, payload) = rollout("a", 1);
+        actor.publish_rollout(&header, payload).unwrap();
+        assert_eq!(next_rollout(&events).await.1, header);
+        let (order, answer) = (Control::Wait, ControlReply::Followed { epoch: Epoch(0) });
+        let (id, of) = (actor_id("a"), self::start("a").incarnation());
+        let (answered, heard) =
+            tokio::join!(learner.control(&id, of, &order, SOON), obey_next(&actor_events, &answer));
+        assert_eq!((answered.unwrap(), heard), (answer, order));
+        let (observer, _seen) = ObserverLink::open(&site.connect()).await.unwrap();
+        assert_eq!(observer.ask_about(&run("one")).await.unwrap(), (LEARNER, b"{}".to_vec()));
+        learner.health().unwrap();
+
+        learner.close().await.unwrap();
+        learner.place.session.wait_long();
+        learner.place.renew().await;
+        assert!(
+            learner.place.session.now().is_closed(),
+            "nothing takes the place of what was closed"
+        );
     }
 }

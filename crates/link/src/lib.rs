@@ -22,7 +22,8 @@
 //! * A session with a certificate listens and dials by TLS alone (and on unix sockets, whose files guard them), and never falls back.
 //! * A message between learner and actors proves which start it comes from, with or without certificates: nobody is
 //!   charged, credited or ordered about in the name of another.
-//! * A connection that leads nowhere is replaced by actors, observers and recorders; the library does not always see it.
+//! * A connection that leads nowhere is replaced by actors, observers and recorders, and by learners that only connect to a router; the
+//!   library does not always see it.
 //! * Every wait has a limit and every error names the address, key, actor or run it is about.
 //!
 //! | flow | priority | when the network is congested |
@@ -65,6 +66,7 @@ mod latest;
 mod learner;
 mod lock;
 mod observer;
+mod others;
 mod proof;
 mod pubsub;
 mod queue;

@@ -13,17 +13,21 @@ use zenoh::pubsub::Subscriber;
 use zenoh::session::Session;
 
 use crate::lock::lock;
-use crate::{ConnectSettings, Result, session};
+use crate::session::{ACTOR_WAIT_BEFORE_CLOSE_US, LEARNER_WAIT_BEFORE_CLOSE_US};
+use crate::{ConnectSettings, ListenSettings, Result, session};
 
 /// How long a connection may have nobody at its other end before another is opened beside it.
 pub(crate) const STRANDED: Duration = Duration::from_secs(10);
 /// Pause between two looks at whether anybody is there.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+pub(crate) const LOOK_EVERY: Duration = Duration::from_secs(5);
 
 /// A client's session, whose place another one can take.
 #[derive(Debug)]
 pub(crate) struct ClientSession {
-    settings: ConnectSettings,
+    /// How to open another; `None` for a session that listens, whose place none takes.
+    settings: Option<ConnectSettings>,
+    /// How long a message may wait for a stalled peer before the connection is given up, in microseconds.
+    wait_us: u64,
     session: Mutex<Session>,
     /// Since when nobody has been at the other end.
     alone: Mutex<Option<Instant>>,
@@ -32,8 +36,19 @@ pub(crate) struct ClientSession {
 impl ClientSession {
     /// Connects to a learner or a router.
     pub(crate) async fn open(settings: &ConnectSettings) -> Result<Self> {
-        let session = Mutex::new(session::connect(settings).await?);
-        Ok(Self { settings: settings.clone(), session, alone: Mutex::default() })
+        let session = session::connect(settings).await?;
+        Ok(Self::new(session, Some(settings.clone()), ACTOR_WAIT_BEFORE_CLOSE_US))
+    }
+
+    /// Opens a learner's session, which is a client's if it only connects to a router.
+    pub(crate) async fn of_learner(settings: &ListenSettings) -> Result<Self> {
+        let session = session::listen(settings).await?;
+        let above = settings.endpoints.is_empty().then(|| session::upwards(settings));
+        Ok(Self::new(session, above, LEARNER_WAIT_BEFORE_CLOSE_US))
+    }
+
+    fn new(session: Session, settings: Option<ConnectSettings>, wait_us: u64) -> Self {
+        Self { settings, wait_us, session: Mutex::new(session), alone: Mutex::default() }
     }
 
     /// Returns the session that is there now.
@@ -42,8 +57,9 @@ impl ClientSession {
     }
 
     /// Opens another connection if this one has had nobody at its other end for [`STRANDED`]; `None` if that is not so, if this one
-    /// was closed on purpose, or if one attempt opens none.
+    /// was closed on purpose or listens, or if one attempt opens none.
     pub(crate) async fn successor(&self) -> Option<Session> {
+        let settings = self.settings.as_ref()?;
         let before = self.now();
         if before.is_closed() {
             return None;
@@ -55,7 +71,7 @@ impl ClientSession {
         if lock(&self.alone).get_or_insert_with(Instant::now).elapsed() < STRANDED {
             return None;
         }
-        match session::reconnect(&self.settings).await {
+        match session::reconnect(settings, self.wait_us).await {
             Ok(session) if before.is_closed() => {
                 drop(session::close(&session).await);
                 None

@@ -20,9 +20,9 @@ use crate::{AccessList, Endpoint, Error, Result, security};
 /// After this silence a peer counts as gone (frozen host, cut cable); a killed process is noticed at once.
 const LEASE_MS: u64 = 2_000;
 /// How long an actor's rollout may wait for a stalled learner before the connection is given up, in microseconds.
-const ACTOR_WAIT_BEFORE_CLOSE_US: u64 = 60_000_000;
+pub(crate) const ACTOR_WAIT_BEFORE_CLOSE_US: u64 = 60_000_000;
 /// The same for a learner, which must not wait long for one actor, in microseconds.
-const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
+pub(crate) const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
 /// Messages that may wait for a link of a notifier at work (the most there can be; 2 by default): a recorder is sent several for each
 /// step, and where there is no room for a thousandth of a second, they are dropped.
 const LIVE_BATCHES: usize = 16;
@@ -136,9 +136,6 @@ pub(crate) fn describe(endpoints: &[Endpoint]) -> String {
 }
 
 /// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
-///
-/// A client of a router has all of its run declared on this one session, which is not replaced as [`crate::redial`] does: if its
-/// connection ends while it begins, the learner logs that it waits for actors, and has to be started again.
 pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
@@ -155,7 +152,7 @@ pub(crate) async fn listen_live(settings: &ListenSettings) -> Result<Session> {
 }
 
 /// Returns how a process that listens nowhere reaches a router.
-fn upwards(settings: &ListenSettings) -> ConnectSettings {
+pub(crate) fn upwards(settings: &ListenSettings) -> ConnectSettings {
     ConnectSettings {
         timeout: settings.timeout,
         identity: settings.identity.clone(),
@@ -222,9 +219,10 @@ pub(crate) async fn has_peer(session: &Session) -> bool {
     info.peers_zid().await.next().is_some() || info.routers_zid().await.next().is_some()
 }
 
-/// Opens a client's session in place of another, with a single round of attempts.
-pub(crate) async fn reconnect(settings: &ConnectSettings) -> Result<Session> {
-    let opened = open(client(settings, ROUND, ACTOR_WAIT_BEFORE_CLOSE_US)?).await?;
+/// Opens a client's session in place of another, with a single round of attempts; `wait_us` is how long a message may wait for a
+/// stalled peer before the connection is given up.
+pub(crate) async fn reconnect(settings: &ConnectSettings, wait_us: u64) -> Result<Session> {
+    let opened = open(client(settings, ROUND, wait_us)?).await?;
     opened.map_err(Error::network("connect to", &describe(&settings.endpoints)))
 }
 

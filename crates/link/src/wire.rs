@@ -87,11 +87,11 @@ pub fn fake_hello(key: &StartKey, number: u64, hello: &Hello) -> Result<(Header,
 
 /// A message that proves which start it comes from.
 #[derive(Debug)]
-pub(crate) struct ProvedMessage<T> {
+pub(crate) struct ProvedMessage<T, K = Arc<PeerKey>> {
     /// What we share with that start.
-    pub(crate) key: Arc<PeerKey>,
-    /// Its number, as [`seal`] or [`sign`] gave it.
-    pub(crate) number: Sequence,
+    pub(crate) key: K,
+    /// With its number, as [`seal`] or [`sign`] gave it.
+    pub(crate) header: Header,
     pub(crate) message: T,
 }
 
@@ -102,11 +102,7 @@ pub(crate) fn unseal<T: DeserializeOwned>(
     expected: Expected,
     keys: &Keyring,
 ) -> Result<ProvedMessage<T>, Refusal> {
-    let header = inspect(attachment, payload, with_proof(expected, TAG_PROOF_BYTES))?;
-    let bytes = whole(payload);
-    let (key, body) = keys.check(&header, &bytes)?;
-    let message = receive::open(&header, body, expected)?;
-    Ok(ProvedMessage { key, number: header.sequence, message })
+    read(attachment, payload, expected, TAG_PROOF_BYTES, |head, it| keys.check(head, it))
 }
 
 /// Reads the answer of one start to the question with this number.
@@ -117,11 +113,11 @@ pub(crate) fn unseal_answer<T: DeserializeOwned>(
     peer: &PeerKey,
     number: Sequence,
 ) -> Result<T, Refusal> {
-    let header = inspect(attachment, payload, with_proof(expected, TAG_PROOF_BYTES))?;
-    let bytes = whole(payload);
-    let body = peer.check(&header, &bytes)?;
-    answers(number, header.sequence)?;
-    receive::open(&header, body, expected)
+    let proved = read(attachment, payload, expected, TAG_PROOF_BYTES, |header, it| {
+        let body = peer.check(header, it)?;
+        answers(number, header.sequence).map(|()| ((), body))
+    });
+    Ok(proved?.message)
 }
 
 /// Checks that an answer is not one that somebody kept from an earlier question.
@@ -139,11 +135,7 @@ pub(crate) fn unseal_hello<T: DeserializeOwned>(
     expected: Expected,
     keys: &Keyring,
 ) -> Result<ProvedMessage<T>, Refusal> {
-    let header = inspect(attachment, payload, with_proof(expected, SIGNED_PROOF_BYTES))?;
-    let bytes = whole(payload);
-    let (key, body) = keys.check_hello(&header, &bytes)?;
-    let message = receive::open(&header, body, expected)?;
-    Ok(ProvedMessage { key, number: header.sequence, message })
+    read(attachment, payload, expected, SIGNED_PROOF_BYTES, |head, it| keys.check_hello(head, it))
 }
 
 /// Reads a message for everybody, and returns the start that proves it.
@@ -152,19 +144,27 @@ pub(crate) fn unseal_signed<T: DeserializeOwned>(
     payload: Option<&ZBytes>,
     expected: Expected,
 ) -> Result<(Incarnation, T), Refusal> {
-    let header = inspect(attachment, payload, with_proof(expected, SIGNED_PROOF_BYTES))?;
-    let bytes = whole(payload);
-    let body = proof::check_signed(&header, &bytes)?.1;
-    Ok((header.incarnation, receive::open(&header, body, expected)?))
+    let proved = read(attachment, payload, expected, SIGNED_PROOF_BYTES, proof::check_signed)?;
+    Ok((proved.header.incarnation, proved.message))
+}
+
+/// Reads a message behind which stands a proof of so many bytes; `check` splits it off, before anything is decoded.
+fn read<T: DeserializeOwned, K>(
+    attachment: Option<&ZBytes>,
+    payload: Option<&ZBytes>,
+    expected: Expected,
+    n_proof_bytes: usize,
+    check: impl for<'a> FnOnce(&Header, &'a [u8]) -> Result<(K, &'a [u8]), Refusal>,
+) -> Result<ProvedMessage<T, K>, Refusal> {
+    let header = inspect(attachment, payload, with_proof(expected, n_proof_bytes))?;
+    let bytes = payload.map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes);
+    let (key, body) = check(&header, &bytes)?;
+    Ok(ProvedMessage { key, header, message: receive::open(&header, body, expected)? })
 }
 
 /// Returns what may arrive if a proof of so many bytes stands behind it.
 pub(crate) fn with_proof(expected: Expected, n_bytes: usize) -> Expected {
     Expected { max_bytes: expected.max_bytes + n_bytes, ..expected }
-}
-
-fn whole(payload: Option<&ZBytes>) -> Cow<'_, [u8]> {
-    payload.map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes)
 }
 
 /// Checks size, header, protocol and schema; touches no payload byte.

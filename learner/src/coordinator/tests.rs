@@ -398,8 +398,8 @@ fn a_copy_of_an_older_hello_takes_nothing_from_the_one_that_counts() {
     assert_eq!(c.hello(&hello("a", 3, 1)), Ok(Sequence(1)));
     c.joined(actor("a"), Incarnation(1));
     assert_eq!(c.hello(&hello("a", 8, 6)), Ok(Sequence(6)));
-    assert_eq!(c.books().rolled_back, 5);
     answer(&mut c, "a");
+    assert_eq!(c.books().rolled_back, 5);
     for sequence in 6..=8 {
         send(&mut c, "a", sequence, 100, &rollout(0, 0, 0));
     }
@@ -512,10 +512,34 @@ fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
 }
 
 #[test]
+fn what_the_actor_of_another_learner_says_to_both_is_no_loss_of_this_one() {
+    let mut c = coordinator(1, Schedule::Lag(0), &[]);
+    for acknowledged in 1..=50 {
+        let said = c.hello(&hello("a", acknowledged + 2, acknowledged + 1));
+        assert_eq!(said, Ok(Sequence(acknowledged + 1)));
+        c.joined(actor("a"), Incarnation(1));
+        assert_eq!(credits(&mut c), [(acknowledged, acknowledged + u64::from(WINDOW))]);
+    }
+    assert_eq!(*c.books(), Books::default(), "it answers the orders of the other one");
+    // Its learner is gone, and it works for this one from now on. Its rollouts may overtake its answer.
+    send(&mut c, "a", 51, 0, &rollout(0, 0, 0));
+    assert_eq!((c.books().rolled_back, c.books().superseded), (50, 1));
+    answer(&mut c, "a");
+    send(&mut c, "a", 52, 0, &rollout(0, 0, 0));
+    send(&mut c, "a", 53, 1, &rollout(0, 0, 0));
+    assert_eq!((c.books().rolled_back, c.books().superseded, c.n_pending()), (50, 2, 1));
+    close_balanced(&mut c);
+}
+
+#[test]
 fn strangers_do_not_fill_the_books() {
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     for i in 0..MAX_LOSERS {
-        c.hello(&hello(&format!("s{i}"), 1, 2)).unwrap();
+        let name = format!("s{i}");
+        c.hello(&hello(&name, 1, 2)).unwrap();
+        c.joined(actor(&name), Incarnation(1));
+        assert_eq!(c.books().rolled_back, i as u64, "a hello alone is none");
+        answer(&mut c, &name);
     }
     assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(HelloRefusal::Nonsense));
     assert_eq!(c.hello(&hello("honest", 0, 1)), Ok(Sequence(1)));

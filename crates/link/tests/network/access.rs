@@ -8,8 +8,8 @@ use std::time::Duration;
 use leadtime_certs::Role;
 use leadtime_link::keys::{Key, Member};
 use leadtime_link::{
-    AccessList, ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ObserverEvent,
-    ObserverLink, RouterLink,
+    AccessList, ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ListenSettings,
+    ObserverEvent, ObserverLink, RouterLink, StartKey,
 };
 use leadtime_proto::message::{Control, ControlReply, Credit};
 use leadtime_proto::{Epoch, Incarnation, PolicyVersion, RefusalCause, Sequence};
@@ -62,10 +62,7 @@ impl Guarded {
         }
         let router = RouterLink::open(&guard).await.unwrap();
         let endpoint: leadtime_link::Endpoint = router.locators()[0].parse().unwrap();
-        let mut through = pki.listen("l1");
-        through.connect = vec![endpoint.clone()];
-        through.endpoints.clear();
-        let (learner, events) = open(through).await;
+        let (learner, events) = open(dial(&pki, "l1", &endpoint)).await;
         Self { pki, endpoint, learner, events, _router: Some(router) }
     }
 
@@ -84,6 +81,11 @@ impl Guarded {
     async fn observer(&self, name: &str) -> (ObserverLink, leadtime_link::Events<ObserverEvent>) {
         ObserverLink::open(&self.pki.connect(name, &self.endpoint)).await.unwrap()
     }
+}
+
+/// How a learner reaches a router.
+fn dial(pki: &Pki, name: &str, router: &leadtime_link::Endpoint) -> ListenSettings {
+    ListenSettings { connect: vec![router.clone()], endpoints: Vec::new(), ..pki.listen(name) }
 }
 
 fn credit(limit: u64) -> Credit {
@@ -320,6 +322,42 @@ async fn rollouts_are_read_by_recorders_alone(guarded: &Guarded) {
     };
     assert_eq!(tokio::time::timeout(SOON, wait).await.unwrap(), "w1");
     assert!(heard.drain().all(|name| name == "w1"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_whose_run_another_one_leads_does_not_start_and_one_that_was_killed_is_no_other()
+{
+    let guarded = Guarded::new(true).await;
+    let (one, next) = (run("one"), StartKey::numbered(101));
+    let settings = dial(&guarded.pki, "l2", &guarded.endpoint);
+    let open = async |name: &str| {
+        LearnerLink::open(&run(name), DOMAIN, &next, &settings).await.map(|(link, _events)| link)
+    };
+    let error = open("one").await.map(drop).unwrap_err();
+    assert!(matches!(&error, Error::AnotherLearner { run, .. } if *run == one), "{error}");
+    assert!(error.to_string().contains(guarded.endpoint.as_str()), "{error}");
+    drop(open("two").await.expect("nobody leads that run"));
+
+    // The presence of a learner that was killed, which outlives it: nobody answers.
+    let ghost = guarded.raw("l1").await;
+    let alive = Key::Alive(&one, &Member::Learner, Incarnation(9)).to_string();
+    let _ghost = ghost.liveliness().declare_token(alive).await.unwrap();
+    let (observer, seen) = guarded.observer("o1").await;
+    observer.follow(&one).unwrap();
+    let is_told = async |start: Incarnation, comes: bool| {
+        until(&seen, |event| match event {
+            ObserverEvent::Joined(Member::Learner, of) if comes => (of == start).then_some(()),
+            ObserverEvent::Left(Member::Learner, of) if !comes => (of == start).then_some(()),
+            _ => None,
+        })
+        .await;
+    };
+    is_told(LEARNER, true).await;
+    guarded.learner.close().await.unwrap();
+    is_told(LEARNER, false).await;
+    let again = open("one").await.expect("it takes up the run of one that was killed");
+    is_told(next.incarnation(), true).await;
+    again.health().unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
