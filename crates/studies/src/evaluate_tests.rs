@@ -127,22 +127,6 @@ fn another_policy_seed_setting_or_number_of_episodes_is_evaluated() {
 }
 
 #[test]
-fn a_damaged_evaluation_is_made_and_kept_again() {
-    let runs = tempfile::tempdir().unwrap();
-    let two = two(runs.path());
-    let (first, _) = evaluated(&two);
-    let kept = fs::read_dir(run_of(runs.path()).join("evaluations")).unwrap();
-    for path in kept.map(|entry| entry.unwrap().path()) {
-        let mut bytes = fs::read(&path).unwrap();
-        let middle = bytes.len() / 2;
-        bytes[middle] ^= 1;
-        fs::write(&path, bytes).unwrap();
-    }
-    assert_eq!(evaluated(&two), (first.clone(), HALF.to_owned()));
-    assert_eq!(evaluated(&two), (first, NONE.to_owned()));
-}
-
-#[test]
 fn a_drive_is_measured_up_to_its_arrival() {
     const DRIVE: &str = r#"
         title = "t"
