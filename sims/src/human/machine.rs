@@ -461,11 +461,6 @@ impl Human {
         })
     }
 
-    /// Drops the running reaction because what was delivered made the listener think again (row L2).
-    pub fn cancel_reaction(&mut self) {
-        self.end_running();
-    }
-
     fn comprehend(&mut self, message: Message) {
         self.state.tally.comprehended += 1;
         // Row C6, before any draw: a message without a reaction must not use up the stream of delays.
@@ -505,7 +500,8 @@ impl Human {
         }
     }
 
-    fn end_running(&mut self) {
+    /// Ends the running reaction, as a delivery that makes the listener think again does (row L2).
+    pub fn end_running(&mut self) {
         if let Some(running) = self.state.running.take() {
             // A reaction of which the world has seen no step has left nothing behind that a plan could miss.
             self.reaction_over |= running.begun;
