@@ -66,7 +66,6 @@ impl ObservationSettings {
     }
 }
 
-/// Says what the numbers of an observation are.
 pub(crate) fn quantities(settings: &ObservationSettings, n_lanes: usize) -> Vec<Quantity> {
     let across = 4 * n_lanes;
     let row = |row: usize| {
