@@ -139,7 +139,6 @@ pub struct HumanState {
 }
 
 impl HumanState {
-    /// Returns the running utterance.
     pub(crate) fn speech(&self) -> Option<SpokenMessage> {
         self.speech
     }
@@ -436,7 +435,6 @@ impl Human {
         self.settings.reaction_steps(message, self.reasons.share(message))
     }
 
-    /// Returns when the reaction reward is paid.
     pub(crate) fn reaction_reward(&self) -> ReactionReward {
         self.settings.reaction_reward
     }
