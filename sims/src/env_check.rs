@@ -135,29 +135,24 @@ impl fmt::Display for Divergence {
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum EnvDefect {
-    /// The description has names for another number of things than the observation has.
     #[error(
         "`quantities` names {n_named} numbers of an observation that has {obs_dim}: name each once, in order, or policy \
          files and `describe` label them wrongly"
     )]
     QuantitiesDiffer { n_named: usize, obs_dim: usize },
-    /// The description has other heads than the specification.
     #[error(
         "`describe` has the heads {described}, and `spec` has {specified}: policy files and `describe` label the \
          choices wrongly"
     )]
     HeadsDiffer { described: String, specified: String },
-    /// A mask that leaves a head without any choice.
     #[error(
         "the mask offers no choice of head `{head}` at {at}: offer at least one, such as the one that does nothing"
     )]
     NothingOffered { head: String, at: StepPlace },
-    /// An observation, a reward or a metric that is no number.
     #[error(
         "{what} is {value} at {at}; observations, rewards and metrics must be finite, and every one must be written"
     )]
     NotFinite { what: String, value: f32, at: StepPlace },
-    /// A snapshot larger than promised.
     #[error(
         "the snapshot has {n_bytes} bytes at {at}, and `max_snapshot_bytes` promised at most {bound}: raise \
          `snapshot_margin`"
@@ -166,18 +161,15 @@ pub enum EnvDefect {
     /// What steps the environment outside of this process has failed: nothing that it shows after that counts.
     #[error("{at} cannot be played: {reason}")]
     Failed { at: StepPlace, reason: String },
-    /// The same seed and the same actions do not give the same episode.
     #[error(
         "not deterministic: played again from the same seed in a fresh environment, {0}; draw every random number from \
          the `EpisodeSeed`, and let nothing depend on hash maps, clocks or globals"
     )]
     NotDeterministic(Divergence),
-    /// An episode depends on the previous one.
     #[error(
         "`reset` leaves something of the episode before: played again in a used environment, {0}"
     )]
     NotReset(Divergence),
-    /// An environment refuses a snapshot of its own.
     #[error("`restore` refuses the environment's own snapshot of {at}: {fault}")]
     NotRestored { at: StepPlace, fault: SnapshotError },
     /// A restored episode goes on in another way.

@@ -157,6 +157,15 @@ fn a_sound_world_is_played_and_has_no_defect() {
 struct Counter {
     spec: EnvSpec,
     n_steps: u8,
+    /// What steps it fails in the second step.
+    fails: bool,
+}
+
+impl Counter {
+    fn new(fails: bool) -> Self {
+        let actions = ActionSpec::discrete("press", 2);
+        Self { spec: EnvSpec { obs_dim: 1, actions, metrics: Vec::new() }, n_steps: 0, fails }
+    }
 }
 
 impl Environment for Counter {
@@ -182,10 +191,16 @@ impl Environment for Counter {
     fn step(&mut self, _action: &[u8], observation: &mut [f32]) -> StepOutcome {
         self.n_steps += 1;
         observation[0] = f32::from(self.n_steps);
-        StepOutcome { reward: 0.0, end: (self.n_steps == 3).then_some(End::Truncated) }
+        let is_over = self.n_steps == 3 || self.failure().is_some();
+        StepOutcome { reward: 0.0, end: is_over.then_some(End::Truncated) }
     }
 
     fn metrics(&self, _out: &mut [f32]) {}
+
+    fn failure(&self) -> Option<String> {
+        let has_failed = self.fails && self.n_steps == 2;
+        has_failed.then(|| "environment 0 fails: RuntimeError: no fuel".to_owned())
+    }
 
     fn write_state(&self, out: &mut Vec<u8>) {
         out.push(self.n_steps);
@@ -200,12 +215,7 @@ impl Environment for Counter {
 
 #[test]
 fn shapes_that_do_not_fit_are_defects() {
-    let build = || -> Result<Box<dyn Environment>, TaskError> {
-        let actions = ActionSpec::discrete("press", 2);
-        let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-        Ok(Box::new(Counter { spec, n_steps: 0 }))
-    };
-    let found = check_environment(build).unwrap().defects;
+    let found = check_environment(|| Ok(Box::new(Counter::new(false)))).unwrap().defects;
     let found: Vec<String> = found.iter().map(ToString::to_string).collect();
     let [heads, mask] = &found[..] else { panic!("{found:#?}") };
     assert!(heads.starts_with("`describe` has the heads `press` 1, and `spec` has `press` 2: "));
@@ -217,53 +227,10 @@ fn shapes_that_do_not_fit_are_defects() {
 
 #[test]
 fn an_environment_that_fails_is_named_before_anything_that_follows_from_it() {
-    /// Fails in its second step.
-    #[derive(Debug)]
-    struct FailingCounter(Counter, Option<String>);
-
-    impl Environment for FailingCounter {
-        fn spec(&self) -> &EnvSpec {
-            self.0.spec()
-        }
-
-        fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
-            self.0.reset(seed, observation);
-        }
-
-        fn step(&mut self, action: &[u8], observation: &mut [f32]) -> StepOutcome {
-            let outcome = self.0.step(action, observation);
-            if self.0.n_steps < 2 {
-                return outcome;
-            }
-            self.1 = Some("environment 0 fails: RuntimeError: no fuel".to_owned());
-            observation.fill(0.0);
-            StepOutcome { reward: 0.0, end: Some(End::Terminated) }
-        }
-
-        fn metrics(&self, _out: &mut [f32]) {}
-
-        fn write_state(&self, out: &mut Vec<u8>) {
-            self.0.write_state(out);
-        }
-
-        fn read_state(
-            &mut self,
-            state: &[u8],
-            observation: &mut [f32],
-        ) -> Result<(), SnapshotError> {
-            self.0.read_state(state, observation)
-        }
-
-        fn failure(&self) -> Option<String> {
-            self.1.clone()
-        }
-    }
     let n_built = AtomicU32::new(0);
     let build = || -> Result<Box<dyn Environment>, TaskError> {
         n_built.fetch_add(1, Ordering::Relaxed);
-        let actions = ActionSpec::discrete("press", 2);
-        let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-        Ok(Box::new(FailingCounter(Counter { spec, n_steps: 0 }, None)))
+        Ok(Box::new(Counter::new(true)))
     };
     let report = check_environment(build).unwrap();
     let found: Vec<String> = report.defects.iter().map(ToString::to_string).collect();

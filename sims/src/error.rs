@@ -9,7 +9,6 @@ use crate::check::SettingError;
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum TaskError {
-    /// No task of that name.
     #[error("there is no domain `{domain}`; known: {}", known.join(", "))]
     UnknownDomain { domain: String, known: Vec<String> },
     /// The settings are not of the right form: an unknown key, a wrong type.

@@ -29,7 +29,6 @@ pub struct SentObservation {
     pub beside: Option<Vec<u8>>,
 }
 
-/// Writes a message as it is recorded.
 pub(crate) fn record(
     topic: LiveTopic,
     encoding: &ArrivalEncoding,

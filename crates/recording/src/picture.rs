@@ -131,7 +131,6 @@ fn strike(canvas: &mut Canvas, area: &Area) {
     canvas.line(&ends, Paint::stroke(Ink::Orange.label(), 1.4));
 }
 
-/// One line of time.
 struct TimeLine<'a> {
     course: &'a SessionCourse,
     /// From when to when, in seconds.

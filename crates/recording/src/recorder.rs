@@ -141,21 +141,8 @@ impl<W: Write> LiveRecorder<W> {
         (self.writer.n_messages(), self.n_sessions)
     }
 
-    /// Closes the chunk and hands it to the disk, as [`RecordingWriter::flush`] does.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Write`] if the file cannot be written, with what the system reports.
-    pub fn flush(&mut self) -> Result<(), Error> {
-        self.writer.flush()
-    }
-
-    /// Ends the file with its index, as [`RecordingWriter::finish`] does.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Write`] if the file cannot be written, with what the system reports.
-    pub fn finish(&mut self) -> Result<(), Error> {
-        self.writer.finish()
+    /// Returns the file, to flush and to finish it.
+    pub fn writer(&mut self) -> &mut RecordingWriter<W> {
+        &mut self.writer
     }
 }

@@ -19,7 +19,6 @@ pub(crate) const METADATA: &str = "leadtime.recording";
 /// The version of what is recorded.
 pub(crate) const VERSION: &str = "1";
 
-/// A channel of the file.
 #[derive(Debug)]
 struct OpenChannel {
     id: u16,

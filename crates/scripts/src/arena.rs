@@ -32,7 +32,6 @@ pub(crate) struct Arena<'a> {
 }
 
 impl<'a> Arena<'a> {
-    /// Makes an environment for each thread.
     pub(crate) fn new(
         make: &MakeEnvironment<'_>,
         seed: u64,

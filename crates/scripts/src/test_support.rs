@@ -126,7 +126,6 @@ pub(crate) fn played(player: &Player, n_episodes: u64, seed: u64) -> Vec<Gave> {
     play(&cliff, player, &PlaySettings::new(n_episodes, seed), |_| Giving).unwrap()
 }
 
-/// Returns the share of successes.
 pub(crate) fn share(gave: &[Gave]) -> f64 {
     gave.iter().map(|it| it[0]).sum::<f64>() / gave.len() as f64
 }

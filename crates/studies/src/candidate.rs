@@ -34,7 +34,6 @@ impl EvalCandidate {
         }
     }
 
-    /// Returns whether a script of that name plays.
     pub(crate) fn is_script(&self, name: &str) -> bool {
         self.player.is_script(name)
     }

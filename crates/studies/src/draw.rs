@@ -56,7 +56,6 @@ struct Artist<'a> {
 }
 
 impl Artist<'_> {
-    /// Makes a figure of a picture.
     fn figure(
         &self,
         kind: &str,
@@ -151,7 +150,6 @@ impl Artist<'_> {
         Ok(players)
     }
 
-    /// Returns a condition's title.
     fn titled(&self, condition: &str) -> &str {
         self.planned.part.condition(condition).map_or("", |condition| &condition.title)
     }

@@ -14,69 +14,45 @@ use thiserror::Error;
 
 /// Why a study cannot be carried out.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum Error {
     /// A study, or what is asked of it, is impossible; the sentence says what is allowed.
     #[error("{0}")]
     Refused(String),
-    /// An error in one place: a study, a part, a row, an option.
     #[error("{place}")]
     At {
-        /// The study, part, row or option.
         place: String,
-        /// What is wrong there.
         #[source]
         error: Box<Error>,
     },
-    /// A file cannot be read or written.
     #[error("{action} {}", path.display())]
-    File {
-        /// What was tried, such as `reading`.
-        action: &'static str,
-        /// The file or directory.
-        path: PathBuf,
-        /// What the system answered.
-        source: io::Error,
-    },
-    /// A configuration is refused.
+    File { action: &'static str, path: PathBuf, source: io::Error },
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A configuration cannot be loaded.
     #[error(transparent)]
     Configure(#[from] ConfigureError),
-    /// A run's record cannot be read.
     #[error(transparent)]
     Record(#[from] RecordError),
-    /// A run's policy cannot be used.
     #[error(transparent)]
     Policy(#[from] PolicyFileError),
-    /// A training cannot be launched.
     #[error(transparent)]
     Launch(#[from] LaunchError),
-    /// A training was launched and failed.
     #[error("run `{run}` failed: {last} (the whole log: {})", log.display())]
     Training {
-        /// The run whose training failed.
         run: String,
         /// The exit code of its learner; `None` if it was killed, or no actor was left.
         code: Option<i32>,
-        /// The last line that its processes logged.
         last: String,
-        /// The file that collects what they logged.
         log: PathBuf,
     },
-    /// The domain refuses its settings.
     #[error(transparent)]
     Task(#[from] TaskError),
-    /// Episodes cannot be played.
     #[error(transparent)]
     Play(#[from] leadtime_episodes::Error),
-    /// A script cannot be searched or used.
     #[error(transparent)]
     Script(#[from] leadtime_scripts::Error),
-    /// An evaluation or a picture failed.
     #[error(transparent)]
     Eval(#[from] leadtime_eval::Error),
-    /// The program was asked to end.
     #[error("interrupted")]
     Interrupted,
 }

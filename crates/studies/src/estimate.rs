@@ -75,7 +75,6 @@ impl TrainingEstimate {
     }
 }
 
-/// What a run has recorded of its pace.
 #[derive(Clone, Copy)]
 struct RecordedPace<'a> {
     domain: &'a str,

@@ -127,22 +127,6 @@ fn another_policy_seed_setting_or_number_of_episodes_is_evaluated() {
 }
 
 #[test]
-fn a_damaged_evaluation_is_made_and_kept_again() {
-    let runs = tempfile::tempdir().unwrap();
-    let two = two(runs.path());
-    let (first, _) = evaluated(&two);
-    let kept = fs::read_dir(run_of(runs.path()).join("evaluations")).unwrap();
-    for path in kept.map(|entry| entry.unwrap().path()) {
-        let mut bytes = fs::read(&path).unwrap();
-        let middle = bytes.len() / 2;
-        bytes[middle] ^= 1;
-        fs::write(&path, bytes).unwrap();
-    }
-    assert_eq!(evaluated(&two), (first.clone(), HALF.to_owned()));
-    assert_eq!(evaluated(&two), (first, NONE.to_owned()));
-}
-
-#[test]
 fn a_drive_is_measured_up_to_its_arrival() {
     const DRIVE: &str = r#"
         title = "t"
@@ -161,10 +145,7 @@ fn a_drive_is_measured_up_to_its_arrival() {
     "#;
     let runs = tempfile::tempdir().unwrap();
     let asked = StudyRequest { seeds: Some(7..8), episodes: 8, ..request(runs.path()) };
-    let plan = plan(DRIVE, &asked).unwrap();
-    let (tasks, shutdown) = (Tasks::new(), CancellationToken::new());
-    let mut evaluator = Evaluator::new(&tasks, &shutdown, EvalCache::new(&ProgramBuild::default()));
-    let part = evaluator.part(&plan.parts[0]).unwrap();
+    let (part, _) = evaluated_text(DRIVE, &asked);
     let mean = |name| part.rows[0].results[0].summary.get(name).unwrap().interval.unwrap().estimate;
     // Who has arrived would stand there until step 200.
     assert!(mean("arrived") > 0.2 && mean("length") < 115.0, "{part:?}");
@@ -178,14 +159,8 @@ fn a_script_is_searched_once_and_the_oracle_mends_it() {
     let text = format!("{STUDY}{rows}");
     let rows = ["searched", "oracle"].map(str::to_owned).to_vec();
     let request = StudyRequest { rows, quick: true, steps: Some(2_000), ..two(runs.path()) };
-    let tasks = Tasks::new();
-    let evaluated = || {
-        let plan = plan(&text, &request).unwrap();
-        assert!(plan.trainings().is_empty());
-        let shutdown = CancellationToken::new();
-        let cache = EvalCache::new(&ProgramBuild::default());
-        Evaluator::new(&tasks, &shutdown, cache).part(&plan.parts[0]).unwrap()
-    };
+    assert!(plan(&text, &request).unwrap().trainings().is_empty());
+    let evaluated = || evaluated_text(&text, &request).0;
     let part = evaluated();
     let kept = || fs::read_dir(runs.path().join("scripts")).unwrap().map(|it| it.unwrap().path());
     let file = kept().next().unwrap();

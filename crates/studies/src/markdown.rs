@@ -216,7 +216,6 @@ fn details(row: &RowResult) -> String {
     folded(&format!("{}, {}: every measure", row.title, row.notification), &text)
 }
 
-/// Folds a text away under its summary.
 fn folded(summary: &str, text: &str) -> String {
     format!("<details><summary>{summary}</summary>\n\n{text}\n</details>\n\n")
 }
@@ -254,12 +253,10 @@ fn with_quartiles(measure: Option<&Measure>) -> String {
     }
 }
 
-/// Writes an estimate with its bounds.
 fn with_bounds(interval: &Interval) -> String {
     written(interval).join(" ")
 }
 
-/// Writes a published number.
 fn published(published: Option<&Published>) -> String {
     let Some(published) = published else { return NONE.to_owned() };
     let mean = published.mean;

@@ -207,7 +207,6 @@ impl PlannedPart {
         self.protocol.seed + self.seeds().first().copied().unwrap_or(0)
     }
 
-    /// Returns a row by name.
     pub(crate) fn row(&self, name: &str) -> Option<&PlannedRow> {
         self.rows.iter().find(|row| row.row.name == name)
     }
@@ -373,7 +372,6 @@ impl PlannedTraining {
         Ok(Self { name, config, hash: hash.to_owned() })
     }
 
-    /// Returns the run's directory.
     pub(crate) fn directory(&self) -> PathBuf {
         self.config.run.directory.join(self.name.as_str())
     }

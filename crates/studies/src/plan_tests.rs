@@ -1,7 +1,7 @@
 use leadtime_config::Override;
 
 use super::*;
-use crate::test_support::{STUDY, plan, record, request, sentence, study};
+use crate::test_support::{CART, STUDY, plan, record, request, sentence, study};
 use crate::{catalog, profile};
 
 /// Asks for the whole study, in a place without runs.
@@ -189,23 +189,6 @@ fn a_misspelt_measure_is_refused_before_anything_is_trained() {
     }
 }
 
-/// A study of a task without scripted players.
-const CART: &str = r#"
-title = "t"
-lead = "l"
-[[parts]]
-name = "cart"
-title = "Cart"
-profile = "cartpole"
-quick_steps = 512
-columns = ["return"]
-evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
-[[parts.rows]]
-name = "silence"
-title = "Silence"
-script = "unaided"
-"#;
-
 #[test]
 fn a_player_that_the_task_does_not_have_is_refused_before_anything_is_trained() {
     let refused = |from: &str, to: &str| {
@@ -215,8 +198,9 @@ fn a_player_that_the_task_does_not_have_is_refused_before_anything_is_trained() 
     let text = refused("script = \"heuristic\"", "script = \"wise\"");
     assert!(text.contains("row script: there is no scripted player `wise` (`script`)"), "{text}");
     assert!(text.contains("known: unaided, heuristic"), "{text}");
-    let text = sentence(plan(CART, &whole()));
-    assert!(text.contains("row silence: ") && text.contains("player `unaided`"), "{text}");
+    let scripted = CART.replace("title = \"A\"", "title = \"A\"\nscript = \"unaided\"");
+    let text = sentence(plan(&scripted, &whole()));
+    assert!(text.contains("row a: ") && text.contains("player `unaided`"), "{text}");
     assert!(text.ends_with("in the task `cartpole`; it has none"), "{text}");
 }
 

@@ -49,7 +49,6 @@ pub struct StudyRequest {
 }
 
 impl StudyRequest {
-    /// Returns whether a part is asked for.
     pub(crate) fn wants_part(&self, part: &StudyPart) -> bool {
         self.parts.is_empty() || self.parts.contains(&part.name)
     }

@@ -108,7 +108,6 @@ impl RowResult {
         self.results.iter().find(|result| result.choice == choice && result.is(evaluation))
     }
 
-    /// Returns a published figure.
     pub(crate) fn published(&self, evaluation: Option<&str>, measure: &str) -> Option<&Published> {
         self.published.iter().find(|published| {
             published.measure == measure && published.evaluation.as_deref() == evaluation
@@ -117,7 +116,6 @@ impl RowResult {
 }
 
 impl ConditionResult {
-    /// Returns whether this is the evaluation of that name.
     pub(crate) fn is(&self, evaluation: &str) -> bool {
         self.evaluations.iter().any(|name| name == evaluation)
     }

@@ -122,7 +122,6 @@ fn axis_name() -> String {
     "people".to_owned()
 }
 
-/// A map to draw.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct StudyMap {
@@ -225,7 +224,6 @@ impl Study {
 }
 
 impl StudyPart {
-    /// Returns the condition of that name.
     pub(crate) fn condition(&self, name: &str) -> Option<&StudyCondition> {
         self.evaluations.iter().find(|condition| condition.name == name)
     }
@@ -302,7 +300,6 @@ impl StudyRow {
     }
 }
 
-/// Checks a number of training seeds.
 fn check_seeds(seeds: Option<u64>) -> Result<(), Error> {
     let allowed = 1..=MAX_SEEDS;
     ensure(seeds.is_none_or(|seeds| allowed.contains(&seeds)), || {

@@ -1,37 +1,14 @@
 use super::*;
-use crate::test_support::sentence;
-
-const SMALL: &str = r#"
-title = "t"
-lead = "l"
-[[parts]]
-name = "cart"
-title = "Cart"
-profile = "cartpole"
-quick_steps = 512
-columns = ["return"]
-evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
-differences = [{ of = "b", minus = "a", on = "long", measure = "return" }]
-[[parts.rows]]
-name = "a"
-title = "A"
-paper = { return = [490.0, 6.0] }
-[[parts.rows]]
-name = "b"
-title = "B"
-on = ["long"]
-set.learner.gamma = 0.9
-paper_on.long = { return = [1.0] }
-"#;
+use crate::test_support::{CART, sentence};
 
 fn refused(from: &str, to: &str) -> String {
-    assert!(SMALL.contains(from), "{from}");
-    sentence(Study::parse("study", &SMALL.replacen(from, to, 1)))
+    assert!(CART.contains(from), "{from}");
+    sentence(Study::parse("study", &CART.replacen(from, to, 1)))
 }
 
 #[test]
 fn a_study_reads_as_it_is_written() {
-    let study = Study::parse("study", SMALL).unwrap();
+    let study = Study::parse("study", CART).unwrap();
     let part = &study.parts[0];
     assert_eq!((study.policy, part.layout), (WhichPolicy::Last, Layout::Lines));
     assert_eq!((study.seeds, study.failed_below), (None, 0.05));

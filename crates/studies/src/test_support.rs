@@ -48,6 +48,30 @@ name = "real_one"
 title = "Real"
 "#;
 
+/// A study of a task without scripted players.
+pub(crate) const CART: &str = r#"
+title = "t"
+lead = "l"
+[[parts]]
+name = "cart"
+title = "Cart"
+profile = "cartpole"
+quick_steps = 512
+columns = ["return"]
+evaluations = [{ name = "own", title = "own" }, { name = "long", title = "long", set.world.max_steps = 300 }]
+differences = [{ of = "b", minus = "a", on = "long", measure = "return" }]
+[[parts.rows]]
+name = "a"
+title = "A"
+paper = { return = [490.0, 6.0] }
+[[parts.rows]]
+name = "b"
+title = "B"
+on = ["long"]
+set.learner.gamma = 0.9
+paper_on.long = { return = [1.0] }
+"#;
+
 /// Writes the record of a run that was begun, or has ended.
 pub(crate) fn record(directory: &Path, is_finished: bool) {
     std::fs::create_dir_all(directory).unwrap();

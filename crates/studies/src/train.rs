@@ -97,7 +97,6 @@ async fn carry_out(
     Err(Error::Training { run: training.name.to_string(), code, last: last_line(&log), log })
 }
 
-/// Returns the last line of a log.
 fn last_line(log: &Path) -> String {
     let text = std::fs::read_to_string(log).unwrap_or_default();
     let last = text.lines().rev().find(|line| !line.trim().is_empty());

@@ -48,7 +48,6 @@ impl RowTrainings {
         })
     }
 
-    /// Returns the success of the best training.
     pub(crate) fn best(&self) -> f64 {
         self.success.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }

@@ -74,6 +74,12 @@ fn what_is_wrong_with_a_file_is_named() {
         ("[\"what\", 2, 4]", "[\"what\", 1, 4]", "its spans overlap"),
         ("[\"what\", 2, 4]", "[\"how\", 2, 4]", "it has 0 `what` spans; allowed: 1"),
         ("topic = \"merge_left\"", "topic = \"merge\"", "its topic is not in `topics`"),
+        (
+            "Slow down.",
+            "TRUCK ahead, merge left",
+            "utterance 2 of topic `slow_down`, \"TRUCK ahead, merge left\": the same words stand under topic \
+             `merge_left` already",
+        ),
     ];
     let good = format!("{HEADER}{GOOD}");
     for (from, to, says) in cases {
@@ -112,22 +118,4 @@ fn what_sentences_presuppose_is_named_once_and_must_be_told() {
         format!("{HEADER}{GOOD}").replacen("[45, 95]", &format!("[45, 95]\nfacts = {many:?}"), 1);
     let error = Taxonomy::from_toml(&text).unwrap_err().to_string();
     assert_eq!(error, "the sentences presuppose 65 facts; allowed: at most 64");
-}
-
-#[test]
-fn the_same_words_under_two_topics_are_refused() {
-    let again = r#"
-[[utterance]]
-topic = "merge_left"
-comprehension = 2
-conveyance = 2
-text = "slow DOWN"
-spans = [["what", 0, 2]]
-curve = [45, 95]
-"#;
-    let error = Taxonomy::from_toml(&format!("{HEADER}{GOOD}{again}")).unwrap_err();
-    assert_eq!(
-        error.to_string(),
-        "utterance 3 of topic `merge_left`, \"slow DOWN\": the same words stand under topic `slow_down` already"
-    );
 }

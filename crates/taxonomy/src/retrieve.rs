@@ -155,49 +155,42 @@ mod tests {
     use super::*;
     use crate::{Rotation, words};
 
-    /// Writes a database of two topics with one sentence in each of the listed cells.
-    fn with_cells(cells: &[(usize, Cell)]) -> Taxonomy {
+    /// Writes a database of some topics: sentences, each on a topic, in a cell, with some of the facts `f0` to `f3` by
+    /// bits.
+    fn database(topics: &[&str], sentences: &[(usize, Cell, u8)]) -> Taxonomy {
         use std::fmt::Write as _;
-        let mut text = String::from(
+        let mut text = format!(
             "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
-             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\", \"b\"]\nconfig = \"\"\n",
+             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = {topics:?}\nconfig = \"\"\n"
         );
-        for (topic, cell) in cells {
-            let (k, l) = (cell.comprehension, cell.conveyance);
-            let name = ["a", "b"][*topic];
-            let words: Vec<String> = (0..l).map(|i| format!("{name}{k}{i}")).collect();
-            let curve: Vec<u32> = (1..=l).map(|i| if i < k { 10 } else { 90 }).collect();
+        for (i, &(topic, Cell { comprehension: k, conveyance: l }, bits)) in
+            sentences.iter().enumerate()
+        {
+            let topic = topics[topic];
+            let spoken: Vec<String> = (0..l).map(|word| format!("{topic}{i}x{word}")).collect();
+            let curve: Vec<u32> = (1..=l).map(|word| if word < k { 10 } else { 90 }).collect();
+            let facts: Vec<&str> = names(bits).collect();
             writeln!(
                 text,
-                "[[utterance]]\ntopic = \"{name}\"\ncomprehension = {k}\nconveyance = {l}\n\
-                 text = \"{}\"\nspans = [[\"what\", 0, {k}]]\ncurve = {curve:?}",
-                words.join(" ")
-            )
-            .unwrap();
-        }
-        Taxonomy::from_toml(&text).unwrap()
-    }
-
-    /// Writes a database of one topic: sentences, each in a cell, with some of the facts `f0` to `f3` by bits.
-    fn with_facts(sentences: &[(Cell, u8)]) -> Taxonomy {
-        use std::fmt::Write as _;
-        let mut text = String::from(
-            "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
-             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = [\"a\"]\nconfig = \"\"\n",
-        );
-        for (i, (Cell { comprehension: k, conveyance: l }, bits)) in sentences.iter().enumerate() {
-            let spoken: Vec<String> = (0..*l).map(|word| format!("w{i}x{word}")).collect();
-            let curve: Vec<u32> = (1..=*l).map(|word| if word < *k { 10 } else { 90 }).collect();
-            let facts: Vec<String> = names(*bits).map(str::to_owned).collect();
-            writeln!(
-                text,
-                "[[utterance]]\ntopic = \"a\"\ncomprehension = {k}\nconveyance = {l}\ntext = \"{}\"\n\
+                "[[utterance]]\ntopic = \"{topic}\"\ncomprehension = {k}\nconveyance = {l}\ntext = \"{}\"\n\
                  spans = [[\"what\", 0, {k}]]\nfacts = {facts:?}\ncurve = {curve:?}",
                 spoken.join(" ")
             )
             .unwrap();
         }
         Taxonomy::from_toml(&text).unwrap()
+    }
+
+    /// Writes a database of two topics with one sentence in each of the listed cells.
+    fn with_cells(cells: &[(usize, Cell)]) -> Taxonomy {
+        let sentences: Vec<_> = cells.iter().map(|&(topic, cell)| (topic, cell, 0)).collect();
+        database(&["a", "b"], &sentences)
+    }
+
+    /// Writes a database of one topic: sentences, each in a cell, with some of the facts.
+    fn with_facts(sentences: &[(Cell, u8)]) -> Taxonomy {
+        let sentences: Vec<_> = sentences.iter().map(|&(cell, bits)| (0, cell, bits)).collect();
+        database(&["a"], &sentences)
     }
 
     fn names(bits: u8) -> impl Iterator<Item = &'static str> {

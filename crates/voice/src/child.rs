@@ -23,7 +23,6 @@ pub(crate) fn spawn(command: Command) -> io::Result<Box<dyn ChildWrapper>> {
     CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()
 }
 
-/// Returns a command of the shell.
 pub(crate) fn shell(command: &str) -> Command {
     let mut shell = Command::new("sh");
     shell.args(["-c", command]);

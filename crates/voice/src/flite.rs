@@ -27,7 +27,6 @@ const FIRST_STRETCH: f64 = 0.8;
 /// The least and the most that a voice is stretched.
 const STRETCH: (f64, f64) = (0.4, 2.5);
 
-/// A voice of flite.
 #[derive(Debug)]
 pub(crate) struct Flite {
     voice: String,

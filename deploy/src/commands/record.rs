@@ -53,7 +53,8 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let ended = recording.run(&shutdown).await;
     let (n_messages, n_sessions) = recording.recorder.counts();
     // What was recorded is kept, whatever went wrong: with its index, if the disk takes one.
-    let failure = ended.and(recording.recorder.finish().map_err(RecordFailure::File)).err();
+    let failure =
+        ended.and(recording.recorder.writer().finish().map_err(RecordFailure::File)).err();
     drop(recording.link.close().await);
     let held = format!("{} of {}", counted(n_messages, "message"), counted(n_sessions, "session"));
     close(args, &held, failure)
@@ -179,7 +180,7 @@ impl RunningRecording {
                     }
                 }
                 _ = flushes.tick() => {
-                    self.recorder.flush()?;
+                    self.recorder.writer().flush()?;
                     self.ask(&asker, &sender);
                     self.tell_dropped();
                     self.link.health().await?;

@@ -139,7 +139,6 @@ pub struct HumanState {
 }
 
 impl HumanState {
-    /// Returns the running utterance.
     pub(crate) fn speech(&self) -> Option<SpokenMessage> {
         self.speech
     }
@@ -436,7 +435,6 @@ impl Human {
         self.settings.reaction_steps(message, self.reasons.share(message))
     }
 
-    /// Returns when the reaction reward is paid.
     pub(crate) fn reaction_reward(&self) -> ReactionReward {
         self.settings.reaction_reward
     }
@@ -459,11 +457,6 @@ impl Human {
             self.state.tally.followed += u32::from(self.only_informs(message));
             message
         })
-    }
-
-    /// Drops the running reaction because what was delivered made the listener think again (row L2).
-    pub fn cancel_reaction(&mut self) {
-        self.end_running();
     }
 
     fn comprehend(&mut self, message: Message) {
@@ -505,7 +498,8 @@ impl Human {
         }
     }
 
-    fn end_running(&mut self) {
+    /// Ends the running reaction, as a delivery that makes the listener think again does (row L2).
+    pub fn end_running(&mut self) {
         if let Some(running) = self.state.running.take() {
             // A reaction of which the world has seen no step has left nothing behind that a plan could miss.
             self.reaction_over |= running.begun;

@@ -340,7 +340,7 @@ fn row_l2_a_delivery_can_cancel_the_running_reaction_but_not_the_pending_one() {
     steps(&mut human, &[(0, start(A, 2, 5))], 6);
     human.apply(start(B, 1, 2));
     human.hear_word();
-    human.cancel_reaction();
+    human.end_running();
     assert!(human.take_reaction_over());
     assert_eq!((human.reaction(), human.pending()), (None, Some(message(B, 1, 2))));
 }

@@ -33,7 +33,6 @@ impl SpokenMessage {
         Self { message, heard: 0, understood: settings.effective_comprehension(message) == 0 }
     }
 
-    /// Hears one more word.
     pub(crate) fn hear_word(&mut self, settings: &HumanSettings) -> HeardWord {
         let comprehension = settings.effective_comprehension(self.message);
         let (words, brief) = (self.message.conveyance, comprehension.max(1));

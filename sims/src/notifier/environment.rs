@@ -228,7 +228,7 @@ impl<D: Domain> NotifierEnv<D> {
         debug_assert_eq!(self.session.speech(), self.human.spoken(), "both count the same words");
         self.report_reaction_over();
         if delivered.is_some_and(|message| self.domain.deliver(message).cancels_reaction) {
-            self.human.cancel_reaction();
+            self.human.end_running();
             self.report_reaction_over();
         }
     }

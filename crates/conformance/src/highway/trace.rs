@@ -48,7 +48,6 @@ pub(super) struct RecordedScene {
     pub(super) speed_index: Vec<(usize, u32, f64)>,
 }
 
-/// Episodes of a merge environment.
 #[derive(Debug, Deserialize)]
 pub(super) struct MergeEpisodes {
     pub(super) lanes: Vec<LaneRow>,
@@ -105,7 +104,6 @@ impl LaneRow {
     }
 }
 
-/// A car's start.
 #[derive(Debug, Deserialize)]
 pub(super) struct VehicleStart {
     pub(super) class: String,

@@ -3,7 +3,6 @@
 use crate::draw::{Canvas, Ink, Paint};
 use crate::playthrough::Activity;
 
-/// Returns the colour of an activity.
 pub(super) fn ink(activity: Activity) -> Ink {
     match activity {
         Activity::OwnPlan => Ink::Neutral,

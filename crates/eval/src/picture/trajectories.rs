@@ -28,7 +28,6 @@ pub struct TrajectoryPanel {
     pub trajectories: Vec<Playthrough>,
 }
 
-/// How a trajectory ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum TrajectoryEnd {
     /// On the pad, without having been in a zone.
@@ -43,7 +42,6 @@ impl TrajectoryEnd {
     /// Lists all, in the order of a legend.
     const ALL: [Self; 3] = [Self::Safe, Self::Entered, Self::Lost];
 
-    /// Reads how a trajectory ended.
     fn of(trajectory: &Playthrough) -> Self {
         let entered = trajectory.scenes.last().is_some_and(|scene| scene.outcome == ENTERED);
         match (entered, trajectory.success) {

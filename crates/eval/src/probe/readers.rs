@@ -40,7 +40,6 @@ impl Reader {
         }
     }
 
-    /// Returns its regression, if it is one.
     pub(super) fn ridge(&self) -> Option<&Ridge> {
         match self {
             Self::Input(ridge) | Self::Hidden(ridge) => Some(ridge),

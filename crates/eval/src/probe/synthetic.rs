@@ -99,7 +99,6 @@ fn spec() -> EnvSpec {
     EnvSpec { obs_dim: 1 + N_NOISE, actions, metrics: Vec::new() }
 }
 
-/// Makes such a task.
 pub(super) fn make(told: Revealed) -> impl Fn() -> Result<Box<dyn Environment>, TaskError> + Sync {
     move || Ok(Box::new(Synthetic::new(told)))
 }

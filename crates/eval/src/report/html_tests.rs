@@ -107,7 +107,6 @@ fn no_text_becomes_markup_and_nothing_is_needed_from_outside() {
     assert_eq!(page.matches("http").count(), page.matches("http://www.w3.org/2000/svg").count());
 }
 
-/// Returns what a page folds away, by its summary.
 fn folded<'a>(page: &'a str, summary: &str) -> &'a str {
     let (_, body) = page.split_once(&format!("<summary>{summary}</summary>")).expect("folded");
     body.split("</details>").next().unwrap()

@@ -26,7 +26,6 @@ use super::reply::{self, joined};
 use crate::utterance::{Cell, Fidelity};
 use crate::words;
 
-/// A sentence with its rating.
 type RatedText = (String, Vec<u8>);
 
 /// Answers with what a file of annotations says; no model is asked.

@@ -94,7 +94,6 @@ fn shuffle(plan: &DatabasePlan, candidate: &Candidate) -> String {
     other.join(" ")
 }
 
-/// Writes the controls, as Markdown.
 pub(super) fn report(plan: &DatabasePlan, controls: &[RaterControl]) -> String {
     if controls.is_empty() {
         return String::new();

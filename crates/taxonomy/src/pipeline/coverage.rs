@@ -78,7 +78,6 @@ impl Coverage {
         coverage
     }
 
-    /// Writes the report, as Markdown.
     pub(super) fn report(
         &self,
         plan: &DatabasePlan,

@@ -109,7 +109,6 @@ pub(super) fn csv(taxonomy: &Taxonomy) -> String {
     out
 }
 
-/// Writes a database as JSON.
 pub(super) fn json(taxonomy: &Taxonomy) -> String {
     let header = taxonomy.header();
     let topics: Vec<serde_json::Value> = taxonomy

@@ -204,7 +204,6 @@ impl DatabasePlan {
         self.settings.check()
     }
 
-    /// Returns a topic's place.
     pub(super) fn topic_idx(&self, id: &str) -> Option<usize> {
         self.topic.iter().position(|topic| topic.id == id)
     }

@@ -11,7 +11,6 @@ use crate::words;
 /// By phrase, cut into words: the facts that it presupposes.
 type PhraseFacts = BTreeMap<Vec<String>, Vec<String>>;
 
-/// A phrase in a sentence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct NamedPhrase<'a> {
     /// Index of its first word.

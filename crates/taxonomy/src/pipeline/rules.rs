@@ -14,7 +14,6 @@ const NEGATIONS: [&str; 6] = ["not", "don't", "never", "cannot", "can't", "won't
 const RUDE: [&str; 10] =
     ["idiot", "stupid", "moron", "damn", "damned", "hell", "crap", "fool", "dumb", "fucking"];
 
-/// The rules of one domain.
 #[derive(Clone, Debug)]
 pub(super) struct Rules {
     lexicon: Lexicon,

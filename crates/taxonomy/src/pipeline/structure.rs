@@ -5,7 +5,6 @@ use super::plan::{DatabasePlan, TopicPlan};
 use crate::utterance::{SpanKind, WordSpan};
 use crate::words;
 
-/// The phrases of one topic.
 #[derive(Clone, Debug)]
 struct Phrases {
     statement: bool,

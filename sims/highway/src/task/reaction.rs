@@ -54,7 +54,6 @@ pub(super) fn react(
     Some(if *refused { ReactionStatus::Refused } else { ReactionStatus::Followed })
 }
 
-/// Returns whether a topic commands a change of lanes.
 pub(super) fn is_lane_change(topic: usize) -> bool {
     matches!(topic, MERGE_LEFT | MERGE_RIGHT)
 }

@@ -1,6 +1,6 @@
 //! What can be chosen about the road, the cars on it and the person who drives.
 
-use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};
 
 use crate::world::constants::{LENGTH, MAX_ACCELERATION};
@@ -234,24 +234,16 @@ impl HighwayWorldSettings {
         self.observation.check()?;
         self.reward.check()?;
         let HeuristicSettings { earliest, gap_behind, gap_ahead } = self.heuristic;
-        for (key, value, highest, allowed) in [
-            ("world.heuristic.earliest", earliest, 60.0, "0 to 60 s"),
-            ("world.heuristic.gap_behind", gap_behind, 200.0, "0 to 200 m"),
-            ("world.heuristic.gap_ahead", gap_ahead, 200.0, "0 to 200 m"),
-        ] {
-            require((0.0..=highest).contains(&value), key, value, allowed)?;
-        }
+        require_within("world.heuristic.earliest", earliest, 0.0..=60.0, "s")?;
+        require_within("world.heuristic.gap_behind", gap_behind, 0.0..=200.0, "m")?;
+        require_within("world.heuristic.gap_ahead", gap_ahead, 0.0..=200.0, "m")?;
         Ok(road)
     }
 
     fn check_time(&self) -> Result<(), SettingError> {
-        for (key, given, highest, allowed) in [
-            ("world.frame_rate", self.frame_rate, 240, "1 to 240 frames per second"),
-            ("world.frames_per_step", self.frames_per_step, 100, "1 to 100 frames"),
-            ("world.max_steps", self.max_steps, 100_000, "1 to 100000 steps"),
-        ] {
-            require((1..=highest).contains(&given), key, given, allowed)?;
-        }
+        require_within("world.frame_rate", self.frame_rate, 1..=240, "frames per second")?;
+        require_within("world.frames_per_step", self.frames_per_step, 1..=100, "frames")?;
+        require_within("world.max_steps", self.max_steps, 1..=100_000, "steps")?;
         let (within, braking) = (self.arrive_within, self.hardest_braking);
         let fits = within == 0.0 || (1.0..=100.0).contains(&within);
         require(
@@ -283,8 +275,7 @@ impl HighwayWorldSettings {
         require(given < n_lanes, "world.ego.lane", given, allowed)?;
         check_speed("world.ego.speed", speed)?;
         check_speed("world.ego.desired_speed", desired_speed)?;
-        let (fits, most) = ((0.5..=MAX_ACCELERATION).contains(&braking), MAX_ACCELERATION);
-        require(fits, "world.ego.braking", braking, format!("0.5 to {most} m/s²"))?;
+        require_within("world.ego.braking", braking, 0.5..=MAX_ACCELERATION, "m/s²")?;
         check_place("world.ego.x", x, 0.0, road)?;
         let SpeedGrid { lowest, highest, n_speeds } = speed_grid;
         let fits =
@@ -322,10 +313,8 @@ impl HighwayWorldSettings {
         let TrafficSettings { cars, position_spread: spread, speed_spread } = &self.traffic;
         let given = format_args!("{} cars", cars.len());
         require(cars.len() <= 32, "world.traffic.cars", given, "at most 32 cars")?;
-        let fits = (0.0..=100.0).contains(spread);
-        require(fits, "world.traffic.position_spread", spread, "0 to 100 m")?;
-        let fits = (0.0..=10.0).contains(speed_spread);
-        require(fits, "world.traffic.speed_spread", speed_spread, "0 to 10 m/s")?;
+        require_within("world.traffic.position_spread", *spread, 0.0..=100.0, "m")?;
+        require_within("world.traffic.speed_spread", *speed_spread, 0.0..=10.0, "m/s")?;
         for (i, car) in cars.iter().enumerate() {
             check_speed("world.traffic.cars", car.speed)?;
             check_place("world.traffic.cars", car.x, *spread, road)?;
@@ -343,8 +332,7 @@ impl HighwayWorldSettings {
 
     fn check_merging(&self, road: &Road) -> Result<(), SettingError> {
         let MergingSettings { distance, speed, desired_speed, lead, range, .. } = self.merging;
-        let fits = (10.0..=1000.0).contains(&distance);
-        require(fits, "world.merging.distance", distance, "10 to 1000 m")?;
+        require_within("world.merging.distance", distance, 10.0..=1000.0, "m")?;
         check_speed("world.merging.speed", speed)?;
         check_speed("world.merging.desired_speed", desired_speed)?;
         let given = format_args!("{lead:?}");

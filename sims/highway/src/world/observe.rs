@@ -15,7 +15,7 @@
 //! highway-env 1.12.1, `envs/common/observation.py`, `KinematicObservation`.
 
 use leadtime_sims::Quantity;
-use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::check::{SettingError, require_within};
 use serde::{Deserialize, Serialize};
 
 use super::constants::LENGTH;
@@ -51,10 +51,8 @@ impl Default for ObservationSettings {
 
 impl ObservationSettings {
     pub(crate) fn check(&self) -> Result<(), SettingError> {
-        let fits = (1..=MAX_ROWS).contains(&self.rows);
-        require(fits, "world.observation.rows", self.rows, "1 to 32 rows")?;
-        let (fits, unit) = ((1.0..=1e6).contains(&self.own_x_unit), self.own_x_unit);
-        require(fits, "world.observation.own_x_unit", unit, "1 to 1000000 m")
+        require_within("world.observation.rows", self.rows, 1..=MAX_ROWS, "rows")?;
+        require_within("world.observation.own_x_unit", self.own_x_unit, 1.0..=1e6, "m")
     }
 
     /// Returns the numbers per row: 5 or 7.
@@ -68,7 +66,6 @@ impl ObservationSettings {
     }
 }
 
-/// Says what the numbers of an observation are.
 pub(crate) fn quantities(settings: &ObservationSettings, n_lanes: usize) -> Vec<Quantity> {
     let across = 4 * n_lanes;
     let row = |row: usize| {

@@ -8,7 +8,7 @@
 //! highway-env 1.12.1, `envs/merge_env.py`; the speed range of 15 to 38 m/s is that of Hsu et al. (arXiv:2509.07438).
 
 use leadtime_sims::RewardTerm;
-use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};
 
 use super::traffic::Traffic;
@@ -76,17 +76,13 @@ impl RewardSettings {
     }
 
     pub(crate) fn check(&self) -> Result<(), SettingError> {
-        for (key, weight, possible, allowed) in [
-            ("world.reward.collision", self.collision, -100.0..=0.0, "-100 to 0"),
-            ("world.reward.merging", self.merging, -100.0..=0.0, "-100 to 0"),
-            ("world.reward.lane_change", self.lane_change, -100.0..=0.0, "-100 to 0"),
-            ("world.reward.right_lane", self.right_lane, 0.0..=100.0, "0 to 100"),
-            ("world.reward.high_speed", self.high_speed, 0.0..=100.0, "0 to 100"),
-            ("world.reward.late", self.late, -1000.0..=0.0, "-1000 to 0"),
-            ("world.reward.hard_braking", self.hard_braking, -1000.0..=0.0, "-1000 to 0"),
-        ] {
-            require(possible.contains(&weight), key, weight, allowed)?;
-        }
+        require_within("world.reward.collision", self.collision, -100.0..=0.0, "")?;
+        require_within("world.reward.merging", self.merging, -100.0..=0.0, "")?;
+        require_within("world.reward.lane_change", self.lane_change, -100.0..=0.0, "")?;
+        require_within("world.reward.right_lane", self.right_lane, 0.0..=100.0, "")?;
+        require_within("world.reward.high_speed", self.high_speed, 0.0..=100.0, "")?;
+        require_within("world.reward.late", self.late, -1000.0..=0.0, "")?;
+        require_within("world.reward.hard_braking", self.hard_braking, -1000.0..=0.0, "")?;
         let (fits, speed) = (self.right_lane + self.high_speed > 0.0, self.high_speed);
         let allowed = "above 0, or a `right_lane` above 0";
         require(fits, "world.reward.high_speed", speed, allowed)?;

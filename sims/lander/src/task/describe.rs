@@ -5,7 +5,6 @@ use leadtime_sims::{Quantity, RewardTerm};
 use super::settings::{EntryPenalty, LanderWorldSettings, NearCharge, NearPenalty};
 use crate::world;
 
-/// Says what the numbers of the observation are.
 pub(super) fn quantities(settings: &LanderWorldSettings) -> Vec<Quantity> {
     let mut all = world::quantities();
     if settings.has_jitter() {
@@ -25,7 +24,6 @@ pub(super) fn quantities(settings: &LanderWorldSettings) -> Vec<Quantity> {
     all
 }
 
-/// Lists the parts of the reward.
 pub(super) fn reward_terms(settings: &LanderWorldSettings) -> Vec<RewardTerm> {
     let on_pad = if settings.on_pad { " on the pad" } else { "" };
     let entry = match (settings.zone_ends_episode, settings.entry_charged) {

@@ -40,7 +40,6 @@ impl Maneuver {
         Self::OF_TOPICS[topic]
     }
 
-    /// Returns the id of its topic.
     pub(super) fn topic(self) -> usize {
         self as usize
     }

@@ -22,7 +22,6 @@ use super::engines::Load;
 /// Fitted (residual 1.3e-5 rad over 22 frames), because it decides in which frame a leg reaches its stop.
 const LEG_CREEP: f64 = 8.0e-4;
 
-/// The lander in free flight.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Flight {
     /// Common centre of mass.

@@ -189,11 +189,6 @@ impl Lander {
         self.episode.touch.legs
     }
 
-    /// Returns the eleven heights of the ground, in metres, two metres apart.
-    pub fn terrain(&self) -> [f64; N_POINTS] {
-        self.episode.terrain.heights
-    }
-
     /// Returns the ground as a line, in the units of observed positions.
     pub(super) fn terrain_outline(&self) -> Vec<[f64; 2]> {
         let point = |i| observe::to_observation_units(self.episode.terrain.point(i)).into();

@@ -45,7 +45,6 @@ pub(super) fn quantities(grid: &Grid, n_slots: usize) -> Vec<Quantity> {
     all
 }
 
-/// Lists the parts of the reward.
 pub(super) fn reward_terms(settings: &SteakhouseWorldSettings) -> Vec<RewardTerm> {
     let useful = "an interaction of use; undoing it costs it";
     vec![

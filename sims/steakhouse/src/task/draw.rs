@@ -137,7 +137,6 @@ fn body(grid: &Grid, kitchen: &Kitchen) -> Vec<[f64; 2]> {
     ]
 }
 
-/// Names an item for pictures.
 fn item_name(item: Item) -> &'static str {
     ["onion", "meat", "plate", "clean plate", "steak", "dish"][item as usize]
 }

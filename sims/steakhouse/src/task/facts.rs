@@ -52,7 +52,6 @@ impl StationView<'_> {
         self.of(Some(kind)).any(|(_, found, _)| found == phase)
     }
 
-    /// Returns whether no station is free.
     fn occupied(self, kind: Option<Station>) -> bool {
         self.of(kind).all(|(_, phase, _)| phase != StationPhase::Empty)
     }
@@ -104,7 +103,6 @@ impl<'a> KitchenMoment<'a> {
         side(world.grid().position(place), world.grid().position(world.cook().pose.place))
     }
 
-    /// Returns whether an item lies on a counter on a side of the cook.
     fn lies_on_counter(self, item: Item, side: CookSide) -> bool {
         let world = &self.kitchen.world;
         let mut counters = world.grid().counters.iter();
@@ -123,7 +121,6 @@ impl<'a> KitchenMoment<'a> {
             || later.iter().any(|&item| self.there_is(item))
     }
 
-    /// Returns whether a supply of an item lies on a side of the cook.
     fn is_supply(self, item: Item, side: CookSide) -> bool {
         let supplies = self.kitchen.world.grid().supplies(item);
         supplies.iter().any(|&place| self.is_at(place, side))

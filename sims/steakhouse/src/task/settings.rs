@@ -1,6 +1,6 @@
 //! What can be chosen about the kitchen, the cook and what is paid.
 
-use leadtime_sims::check::{SettingError, require};
+use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};
 
 use crate::world::{FieldOfView, Grid, StartFamily, WorkTimes, kitchen};
@@ -94,30 +94,26 @@ impl SteakhouseWorldSettings {
     /// Checks ranges, and returns the kitchen.
     pub(super) fn check(&self) -> Result<Grid, SettingError> {
         let grid = kitchen(&self.layout)?;
-        let work = "1 to 200";
-        require((1..=200).contains(&self.cook_time), "world.cook_time", self.cook_time, work)?;
-        require((1..=200).contains(&self.chop_time), "world.chop_time", self.chop_time, work)?;
-        require((1..=200).contains(&self.wash_time), "world.wash_time", self.wash_time, work)?;
+        require_within("world.cook_time", self.cook_time, 1..=200, "")?;
+        require_within("world.chop_time", self.chop_time, 1..=200, "")?;
+        require_within("world.wash_time", self.wash_time, 1..=200, "")?;
         self.check_starts(&grid)?;
         let [low, high] = self.release_steps;
         let given = format_args!("[{low}, {high}]");
         let fits = low <= high && high <= 10_000 && (low > 0 || high == 0);
         require(fits, "world.release_steps", given, "1 <= low <= high <= 10000, or [0, 0]")?;
-        let delay = self.see_delay;
-        require((1..=100).contains(&delay), "world.see_delay", delay, "1 to 100 steps")?;
+        require_within("world.see_delay", self.see_delay, 1..=100, "steps")?;
         if let FieldOfView::Cone(degrees) = self.field_of_view {
             let fits = (1..=179).contains(&degrees);
             require(fits, "world.field_of_view", degrees, "a cone of 1 to 179 degrees")?;
         }
-        let steps = self.max_steps;
-        require((1..=10_000).contains(&steps), "world.max_steps", steps, "1 to 10000 steps")?;
-        let slack = self.deadline_slack;
-        require(slack <= 10_000, "world.deadline_slack", slack, "0 to 10000 steps")?;
+        require_within("world.max_steps", self.max_steps, 1..=10_000, "steps")?;
+        require_within("world.deadline_slack", self.deadline_slack, 0..=10_000, "steps")?;
         for (key, words) in [
             ("world.direction_discloses_from", self.direction_discloses_from),
             ("world.inform_discloses_from", self.inform_discloses_from),
         ] {
-            require((1..=1000).contains(&words), key, words, "1 to 1000 words")?;
+            require_within(key, words, 1..=1000, "words")?;
         }
         for (key, amount) in [
             ("world.delivery_reward", self.delivery_reward),
@@ -126,7 +122,7 @@ impl SteakhouseWorldSettings {
             ("world.step_cost", self.step_cost),
             ("world.redundant_cost", self.redundant_cost),
         ] {
-            require((0.0..=1e6).contains(&amount), key, amount, "0 to 1000000")?;
+            require_within(key, amount, 0.0..=1e6, "")?;
         }
         Ok(grid)
     }

@@ -38,7 +38,6 @@ fn before_the_grill(kitchen: &mut Kitchen, held: Option<Item>) {
     kitchen.world.state.cooks[0] = Cook { pose, held };
 }
 
-/// Every family of starts.
 fn families() -> [StartFamily; 9] {
     use StartFamily::{AllPartial, AllReady, Boards, Empty, FirstOfEach, Grills, Sinks};
     use StartFamily::{Random, Unavailable};

@@ -74,7 +74,6 @@ pub(super) fn dot(a: &Speeds, b: &Speeds) -> f32 {
     sum
 }
 
-/// Adds `factor` times `b` to `a`.
 pub(super) fn add_scaled(a: &mut Speeds, factor: f32, b: &Speeds) {
     for i in 0..N_SPEEDS {
         a[i] += factor * b[i];

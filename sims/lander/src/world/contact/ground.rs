@@ -21,7 +21,6 @@ pub(super) struct Impulses {
 
 pub(super) type Manifold = ContactManifold<(), Impulses>;
 
-/// Returns the ground's shape.
 pub(super) fn shape(heights: &[f64; N_POINTS]) -> HeightField {
     let heights = heights.iter().map(|&y| y as f32).collect();
     HeightField::new(heights, GROUND_SCALE)
