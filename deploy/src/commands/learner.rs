@@ -66,10 +66,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let certificate = own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate));
     let learner = learner_config(&config, &run_dir, listen, build, args.local_actors)
         .blame(ExitCode::WrongInput)?;
-    let recorder = RunRecorder::open(&run_dir.path, &config, run_dir.name.as_str())
-        .with_context(|| format!("opening the files of {}", run_dir.path.display()))
-        .blame(ExitCode::WrongInput)?
-        .keeping(run_dir.record.clone());
+    let recorder = open_recorder(&run_dir, &config)?;
     let n_asked = args.run.stop_after.and_then(|it| it.n_updates(config.steps_per_update()));
     let time_is_up = args
         .run
@@ -108,6 +105,14 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let concluded = conclude(&mut run_dir, &report, &config, is_asked, args);
     write_report(tasks, &config, &run_dir);
     concluded
+}
+
+/// Opens the files to which the run is recorded.
+fn open_recorder(run_dir: &RunDir, config: &Config) -> Result<RunRecorder, Failure> {
+    let recorder = RunRecorder::open(&run_dir.path, config, run_dir.name.as_str())
+        .with_context(|| format!("opening the files of {}", run_dir.path.display()))
+        .blame(ExitCode::WrongInput)?;
+    Ok(recorder.keeping(run_dir.record.clone()))
 }
 
 /// Says that there is nothing to train, and what to do.
