@@ -95,15 +95,10 @@ impl LoadedPolicy {
         };
         let place = format!("the configuration in {}", path.display());
         let config = Config::stored(&place, text, changes, registry)?;
-        match Parameters::from_safetensors(&bytes, &config.policy) {
-            Ok(parameters) => {
-                check_weights(&path, &metadata, &parameters)?;
-                let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
-                let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
-                Ok(Self { path, config, parameters, n_updates, sha256 })
-            }
-            Err(source) => Err(PolicyFileError::Misfit { path, source }),
-        }
+        let (parameters, _) = weights(&path, &bytes, &metadata, &config.policy)?;
+        let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
+        let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
+        Ok(Self { path, config, parameters, n_updates, sha256 })
     }
 
     /// Makes it a player under a name; without `action` it chooses as its configuration says.
@@ -139,14 +134,9 @@ impl Fork {
     pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
         let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
         let (bytes, metadata) = read(&path)?;
-        match weights_digest(&bytes, &config.policy) {
-            Ok(weights_sha256) => {
-                check_digest(&path, &metadata, &weights_sha256)?;
-                let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
-                Ok(Self { origin, bytes })
-            }
-            Err(source) => Err(PolicyFileError::Misfit { path, source }),
-        }
+        let (_, weights_sha256) = weights(&path, &bytes, &metadata, &config.policy)?;
+        let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
+        Ok(Self { origin, bytes })
     }
 }
 
@@ -223,26 +213,19 @@ fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileEr
     }
 }
 
-/// Checks weights by the digest that was written with them.
-fn check_weights(
+/// Reads the weights in a policy file, and checks them by the digest that was written with them; returns both.
+fn weights(
     path: &Path,
+    bytes: &[u8],
     metadata: &BTreeMap<String, String>,
-    parameters: &Parameters,
-) -> Result<(), PolicyFileError> {
-    let digest = parameters.digest();
-    let digest =
-        digest.map_err(|source| PolicyFileError::Misfit { path: path.to_owned(), source })?;
-    check_digest(path, metadata, &hex::encode(&digest))
-}
-
-fn check_digest(
-    path: &Path,
-    metadata: &BTreeMap<String, String>,
-    digest: &str,
-) -> Result<(), PolicyFileError> {
+    policy: &PolicySpec,
+) -> Result<(Parameters, String), PolicyFileError> {
+    let misfit = |source| PolicyFileError::Misfit { path: path.to_owned(), source };
+    let parameters = Parameters::from_safetensors(bytes, policy).map_err(misfit)?;
+    let digest = hex::encode(&parameters.digest().map_err(misfit)?);
     match metadata.get(WEIGHTS_SHA256) {
-        Some(written) if written != digest => Err(PolicyFileError::Damaged(path.to_owned())),
-        _ => Ok(()),
+        Some(written) if *written != digest => Err(PolicyFileError::Damaged(path.to_owned())),
+        _ => Ok((parameters, digest)),
     }
 }
 
