@@ -6,13 +6,9 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::support::{
-    Finished, PATIENCE, Place, Running, checkpoints, record, repository, wait_for_words,
+    Finished, PATIENCE, PEER_LOST, Place, Running, WRONG_INPUT, checkpoints, record, repository,
+    wait_for_words,
 };
-
-/// Exit code for wrong input.
-const WRONG_INPUT: i32 = 2;
-/// Exit code for a peer that is not there.
-const PEER_LOST: i32 = 3;
 
 /// A small CartPole run that takes a few seconds.
 const SMALL: &str = "-c cartpole --set learner.n_steps=32 --set learner.total_steps=2560 --set run.checkpoint_every=4";

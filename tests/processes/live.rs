@@ -11,11 +11,10 @@ use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
 use crate::notifier::{link, policy, port, serve};
-use crate::support::{PATIENCE, Place, repository, signal, wait_for_words, wait_until};
+use crate::support::{
+    PATIENCE, PEER_LOST, Place, WRONG_INPUT, repository, signal, wait_for_words, wait_until,
+};
 
-/// The exit codes of wrong input and of a peer that is not there.
-const WRONG_INPUT: i32 = 2;
-const PEER_LOST: i32 = 3;
 /// How long a step takes, in seconds, where nothing depends on it.
 const STEP: f64 = 0.05;
 

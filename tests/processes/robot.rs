@@ -10,10 +10,8 @@ use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
 use crate::notifier::{self, link, policy};
-use crate::support::{PATIENCE, Place, Running, signal, wait_for_words};
+use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words};
 
-/// The exit code of wrong input.
-const WRONG_INPUT: i32 = 2;
 /// Between two observations.
 const PAUSE: Duration = Duration::from_millis(20);
 const STATUS: &str = "leadtime/live/1/notifier/arm-1/status";

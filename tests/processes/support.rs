@@ -15,6 +15,11 @@ use leadtime_proto::{ActorId, fakes};
 use serde_json::Value;
 use tempfile::TempDir;
 
+/// The exit codes of a failed check, of wrong input and of a peer that is not there.
+pub(crate) const FAILED: i32 = 1;
+pub(crate) const WRONG_INPUT: i32 = 2;
+pub(crate) const PEER_LOST: i32 = 3;
+
 /// The longest that anything in these tests may take.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 /// The longest wait for one message.

@@ -5,14 +5,7 @@ use std::fs;
 use std::net::TcpListener;
 use std::process::Command;
 
-use crate::support::{Finished, PATIENCE, Place, repository};
-
-/// Exit code for a check that failed.
-const FAILED: i32 = 1;
-/// Exit code for wrong input.
-const WRONG_INPUT: i32 = 2;
-/// Exit code for a server that is not there.
-const PEER_LOST: i32 = 3;
+use crate::support::{FAILED, Finished, PATIENCE, PEER_LOST, Place, WRONG_INPUT, repository};
 
 /// A database of one topic and two sentences.
 const SMALL: &str = r#"schema = 1

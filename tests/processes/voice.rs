@@ -11,10 +11,10 @@ use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
 use crate::notifier::{link, policy, port};
-use crate::support::{PATIENCE, Place, Running, signal, wait_for_words, wait_until};
+use crate::support::{
+    PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words, wait_until,
+};
 
-/// The exit code of wrong input.
-const WRONG_INPUT: i32 = 2;
 /// Samples per second of the shipped sound.
 const RATE: usize = 16_000;
 
