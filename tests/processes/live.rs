@@ -10,7 +10,7 @@ use leadtime_serve::{HeardSay, SayEvent};
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
-use crate::notifier::{link, policy, port, serve};
+use crate::notifier::{coming_down, link, policy, port, question, serve};
 use crate::support::{
     PATIENCE, PEER_LOST, Place, WRONG_INPUT, repository, signal, wait_for_words, wait_until,
 };
@@ -44,16 +44,9 @@ impl Client {
 
     /// Asks for a session; returns the answer, or the sentence that says no.
     fn open(&self, more: &Value) -> Result<Value, String> {
-        let mut question = json!({
-            "protocol": 1,
-            "domain": "lander",
-            "seconds_per_step": STEP,
-            "incarnation": format!("{:016x}", self.start.0),
-        });
-        for (key, value) in more.as_object().unwrap() {
-            question[key] = value.clone();
-        }
-        match self.runtime.block_on(self.port.ask(question.to_string().into_bytes())) {
+        let start = format!("{:016x}", self.start.0);
+        let own = json!({"seconds_per_step": STEP, "incarnation": start});
+        match self.runtime.block_on(self.port.ask(question(&[&own, more]))) {
             Ok(answer) => Ok(serde_json::from_slice(&answer).unwrap()),
             Err(LinkError::Rejected { reason, .. }) => Err(reason),
             Err(error) => panic!("{error}"),
@@ -67,17 +60,11 @@ impl Client {
         ObservationHead { seq: self.seq, t, episode: 0, end: false }
     }
 
-    /// Sends what a lander sees that comes down beside the pad.
+    /// Sends what a lander sees.
     fn observe(&mut self) {
-        let values = self.values();
+        let values = coming_down(self.seq as f32);
         let head = self.head();
         self.port.observe(&write_json(&head, &values)).unwrap();
-    }
-
-    fn values(&self) -> [f32; 8] {
-        let step = self.seq as f32;
-        let y = (1.4 - step / 400.0).max(0.0);
-        [0.4 * (step / 15.0).sin(), y, 0.0, -0.2, 0.0, 0.0, 0.0, 0.0]
     }
 
     /// Takes what is told for a while.
