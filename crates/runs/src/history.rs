@@ -101,7 +101,8 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 ///
 /// If the file is there and cannot be read.
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
-    let mut history = ThinHistory::new(n_points);
+    let series = ThinSeries::new(n_points);
+    let mut history = ThinHistory { series, ..ThinHistory::default() };
     match regular::open(&directory.join("metrics.jsonl")) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
         file => history.read(BufReader::new(file?), from)?,
@@ -160,7 +161,7 @@ impl JournalTail {
 }
 
 /// A history in the making.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct ThinHistory {
     series: ThinSeries,
     /// When the first update was made, in seconds since the Unix epoch.
@@ -171,16 +172,6 @@ struct ThinHistory {
 }
 
 impl ThinHistory {
-    fn new(n_points: usize) -> Self {
-        Self {
-            series: ThinSeries::new(n_points),
-            started: None,
-            staleness: VecDeque::new(),
-            last: Map::new(),
-            n_skipped: 0,
-        }
-    }
-
     fn read(&mut self, mut file: BufReader<File>, from: u64) -> io::Result<()> {
         let mut line = Vec::new();
         while file.read_until(b'\n', &mut line)? > 0 {
