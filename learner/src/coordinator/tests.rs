@@ -19,13 +19,8 @@ fn coordinator(n_envs: usize, schedule: Schedule, names: &[&str]) -> Coordinator
     };
     let mut builds = Builds::default();
     builds.note(&Build { program: "test".to_owned(), cpu: "cpu".to_owned() });
-    let start = CoordinatorStart {
-        places: RolloutQueue::beginning(n_envs),
-        epoch: Epoch(0),
-        version: PolicyVersion(0),
-        books: Books::default(),
-        builds,
-    };
+    let places = RolloutQueue::beginning(n_envs);
+    let start = CoordinatorStart { places, builds, ..CoordinatorStart::default() };
     let mut c = Coordinator::new(settings, start);
     for name in names {
         join(&mut c, name);
