@@ -1,13 +1,12 @@
 use super::*;
 use crate::ResultCause;
-use crate::clock;
 use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
@@ -50,15 +49,7 @@ fn begun(runs: &Path, name: Option<&str>, set: &[&str]) -> RunName {
 }
 
 fn result() -> RunResult {
-    RunResult {
-        finished: clock::utc_now(),
-        end: ResultCause::TotalSteps,
-        updates: 20,
-        steps: 1,
-        weights_sha256: String::new(),
-        reproducible: true,
-        books: Value::Null,
-    }
+    RunResult { updates: 20, steps: 1, reproducible: true, ..RunResult::default() }
 }
 
 fn fork(runs: &Path, run: &str, seed: u64) -> Fork {
