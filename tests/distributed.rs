@@ -468,19 +468,6 @@ async fn an_actor_that_is_lost_and_replaced_changes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_without_actors_waits_for_a_new_one() {
-    let directory = tempfile::tempdir().unwrap();
-    let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);
-    let lost = actor(directory.path(), "a", 1);
-    learner.reach(3).await;
-    lost.abort();
-    let again = actor(directory.path(), "a", 2);
-    let report = learner.report().await;
-    assert_eq!(report.digest, reference(Mode::Lag));
-    dismissed(again).await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
     for mode in [Mode::Sync, Mode::Lag] {
         let directory = tempfile::tempdir().unwrap();
