@@ -576,6 +576,7 @@ fn a_question_is_checked_against_the_policy() {
         ),
         (with("words", json!("mine")), "`words` is mine; allowed: shipped"),
         (with("incarnation", json!("12")), "`incarnation` is 12; allowed: 16 hexadecimal digits"),
+        (with("seed", json!(-1)), "`seed` has to be a whole number from 0; it is -1"),
         (with("sed", json!(1)), "`sed` is not known; did you mean `seed`?"),
     ] {
         let sentence = refused(question);
