@@ -103,9 +103,8 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
     let series = ThinSeries::new(n_points);
     let mut history = ThinHistory { series, ..ThinHistory::default() };
-    match regular::open(&directory.join("metrics.jsonl")) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-        file => history.read(BufReader::new(file?), from)?,
+    if let Some(file) = regular::if_there(regular::open(&directory.join("metrics.jsonl")))? {
+        history.read(BufReader::new(file), from)?;
     }
     Ok(history.into_json(from))
 }
@@ -138,9 +137,8 @@ impl JournalTail {
     ///
     /// If the file is there and cannot be read.
     pub fn new_lines(&mut self) -> io::Result<Option<Vec<Map<String, Value>>>> {
-        let mut file = match regular::open(&self.path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
-            file => file?,
+        let Some(mut file) = regular::if_there(regular::open(&self.path))? else {
+            return Ok(Some(Vec::new()));
         };
         let metadata = file.metadata()?;
         let (length, found) = (metadata.len(), (metadata.dev(), metadata.ino()));

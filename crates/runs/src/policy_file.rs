@@ -155,10 +155,7 @@ pub(crate) fn is_in(directory: &Path) -> bool {
 
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.
 pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
-    let bytes = match regular::read(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
-        bytes => bytes?,
-    };
+    let Some(bytes) = regular::if_there(regular::read(path))? else { return Ok(0) };
     let version = read_metadata(&bytes).ok().and_then(|entries| entries.get(VERSION)?.parse().ok());
     // One that cannot be read is somebody's work all the same.
     Ok(version.unwrap_or(1))
