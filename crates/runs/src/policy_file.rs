@@ -200,7 +200,6 @@ pub fn what_it_is(bytes: &[u8], error: &dyn std::error::Error) -> String {
     }
 }
 
-/// Reads a policy file with its metadata.
 fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileError> {
     let unread = |source| PolicyFileError::Read { path: path.to_owned(), source };
     let bytes = fs::read(path).map_err(unread)?;

@@ -438,7 +438,6 @@ impl RunView {
         std::mem::take(&mut self.changes)
     }
 
-    /// Returns the lines of the log after a number.
     pub(crate) fn log_after(&self, number: u64) -> impl Iterator<Item = &WatchLine> {
         self.log.iter().filter(move |line| line.number > number)
     }
@@ -453,7 +452,6 @@ impl RunView {
         update_of(&self.last)
     }
 
-    /// Returns whether a learner is there.
     pub(crate) fn has_learner(&self) -> bool {
         self.learner.is_some() && self.lost_at.is_none()
     }
