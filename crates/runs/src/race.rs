@@ -99,10 +99,6 @@ pub struct RacerRecord {
 
 impl RacerRecord {
     /// Reads the record in a run's directory; an empty one if there is none.
-    ///
-    /// # Errors
-    ///
-    /// If it cannot be read, or is damaged.
     pub(crate) fn read(directory: &Path) -> io::Result<Self> {
         let text = regular::if_there(regular::read_to_string(&directory.join(FILE)))?;
         let Some(text) = text else { return Ok(Self::default()) };

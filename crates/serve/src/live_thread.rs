@@ -105,10 +105,6 @@ pub(crate) struct LiveThread {
 
 impl LiveThread {
     /// Starts a thread.
-    ///
-    /// # Errors
-    ///
-    /// If the system starts no further thread.
     pub(crate) fn start(
         name: String,
         decider: LiveDecider,
