@@ -245,7 +245,7 @@ fn a_client_that_is_gone_is_not_spoken_to_and_may_come_back() {
     bench.session.note_presence(false);
     bench.until(100);
     assert_eq!(bench.events().last(), Some(&SayEvent::Cut));
-    assert_eq!((bench.state(), bench.session.why()), (LiveState::Lost, &Silence::ClientGone));
+    assert_eq!((bench.state(), &bench.session.why), (LiveState::Lost, &Silence::ClientGone));
     bench.until(20_000);
     let n = bench.told.says.len();
     bench.observe();
