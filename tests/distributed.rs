@@ -453,27 +453,6 @@ async fn an_evaluation_that_fails_is_told_and_ends_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_actor_that_is_lost_and_replaced_changes_nothing() {
-    for mode in [Mode::Sync, Mode::Lag] {
-        let directory = tempfile::tempdir().unwrap();
-        let mut learner = Learner::start(directory.path(), mode, 2, 1);
-        let lost = actor(directory.path(), "lost", 1);
-        let stays = actor(directory.path(), "stays", 1);
-        learner.reach(4).await;
-        lost.abort();
-        let comes = actor(directory.path(), "comes", 1);
-        let events = Arc::clone(&learner.events);
-        let report = learner.report_with(stays).await;
-        assert_eq!(report.digest, reference(mode), "{mode:?}");
-        dismissed(comes).await;
-        assert_reported(&events, |event| {
-            matches!(event, RunEvent::ActorLeft { actor, n_envs, .. }
-                if actor.as_str() == "lost" && *n_envs > 0)
-        });
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
     for mode in [Mode::Sync, Mode::Lag] {
         let directory = tempfile::tempdir().unwrap();

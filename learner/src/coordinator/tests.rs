@@ -386,6 +386,7 @@ fn a_run_whose_members_answer_no_order_is_said_to_wait_for_actors() {
     assert_eq!((c.n_actors(), c.n_answering(), c.n_actors_needed()), (2, 1, None));
     assert_eq!(assignments(&mut c).into_iter().map(|(to, _)| to).collect::<Vec<_>>(), [actor("a")]);
     c.left(actor("a"), Incarnation(1));
+    assert!(matches!(events(&mut c)[..], [RunEvent::ActorLeft { n_actors: 1, n_envs: 2, .. }]));
     assert_eq!(c.n_actors_needed(), Some(1));
     let mut c = coordinator(1, Schedule::Async { staleness_max: 0 }, &["a"]);
     assert_eq!(c.window(), 2);
