@@ -87,14 +87,6 @@ fn undisturbed() -> &'static str {
 }
 
 #[test]
-fn three_actors_give_the_same_weights_as_one() {
-    let place = Place::new();
-    let learner = learner(&place, "--set run.actors_min=3");
-    finish(learner, ["a", "b", "c"].map(|id| actor(&place, id)));
-    assert_eq!(digest(&place), undisturbed());
-}
-
-#[test]
 fn an_actor_killed_and_replaced_changes_nothing() {
     let place = Place::new();
     let learner = learner(&place, "--set run.actors_min=2");
