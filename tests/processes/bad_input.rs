@@ -282,21 +282,6 @@ fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
 }
 
 #[test]
-fn a_run_that_lost_its_checkpoints_keeps_its_policy() {
-    let place = Place::new();
-    let up = |steps: &str| {
-        let steps = format!("learner.total_steps={steps}");
-        place.finish(&["up --name gone --actors 1", SMALL, "--set", &steps])
-    };
-    up("2560").with_code(0);
-    let policy = place.run("gone").join("policy.safetensors");
-    let before = fs::read(&policy).unwrap();
-    fs::remove_dir_all(place.run("gone").join("checkpoints")).unwrap();
-    up("5120").with_code(WRONG_INPUT).saying(&["20 updates on record", "--fork gone"]);
-    assert!(fs::read(&policy).unwrap() == before, "the finished policy stays");
-}
-
-#[test]
 fn learners_that_start_at_once_have_runs_of_their_own() {
     let place = Place::new();
     let start = |seed: &str| {

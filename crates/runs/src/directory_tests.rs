@@ -227,9 +227,11 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     begun(runs.path(), Some("gone"), &[]);
     open(runs.path(), Some("gone"), &[]).unwrap().0.finish(result()).unwrap();
     fs::remove_file(runs.path().join("gone/checkpoints/000000000020.checkpoint")).unwrap();
-    for name in ["late", "gone"] {
+    for (name, on_record) in [("late", "21 updates on record"), ("gone", "20 updates on record")] {
         let error = open(runs.path(), Some(name), &["learner.total_steps=600000"]).unwrap_err();
-        assert!(error.to_string().contains(&format!("--fork {name}")), "{error}");
+        let text = error.to_string();
+        assert!(text.contains(on_record) && text.contains(&format!("--fork {name}")), "{text}");
+        assert_eq!(fs::read(runs.path().join(name).join(LAST_POLICY)).unwrap(), b"weights");
     }
     assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
     // Without a name, another run is begun instead.
