@@ -282,21 +282,6 @@ fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
 }
 
 #[test]
-fn learners_that_start_at_once_have_runs_of_their_own() {
-    let place = Place::new();
-    let start = |seed: &str| {
-        let endpoint = place.endpoint(seed);
-        place.start(&["learner --seed", seed, "--listen", &endpoint, SMALL])
-    };
-    let learners = ["1", "2", "3", "4"].map(start);
-    for learner in &learners {
-        wait_for_words(learner, "listening");
-    }
-    assert_eq!(fs::read_dir(place.path().join("runs")).unwrap().count(), 4);
-    learners.into_iter().for_each(Running::kill);
-}
-
-#[test]
 fn damaged_checkpoints_give_way_to_older_ones_or_stop_the_run() {
     let place = Place::new();
     train(&place, learner(&place, "--stop-after 12"));
