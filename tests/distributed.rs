@@ -287,10 +287,6 @@ fn endpoint(directory: &Path) -> Endpoint {
 type ActorTask = JoinHandle<Result<ActorReport, leadtime_actor::Error>>;
 
 fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
-    actor_of(directory, name, incarnation, "test")
-}
-
-fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> ActorTask {
     let settings = ActorSettings {
         actor: ActorId::new(name).unwrap(),
         start: StartKey::numbered(
@@ -299,7 +295,7 @@ fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> Ac
         run: None,
         connect: ConnectSettings::new(vec![endpoint(directory)]),
         reconnect_timeout: PATIENCE,
-        program: program.to_owned(),
+        program: "test".to_owned(),
         cpu: "cpu".to_owned(),
     };
     let run = leadtime_actor::run(settings, leadtime_worlds::builtin(), CancellationToken::new());
@@ -525,28 +521,6 @@ async fn async_takes_what_comes_and_accounts_for_all_of_it() {
     assert!(!report.reproducible);
     assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
     assert_eq!(report.staleness.values().sum::<u64>(), report.books.trained);
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_run_that_another_build_goes_on_with_is_not_called_reproducible() {
-    let directory = tempfile::tempdir().unwrap();
-    let begin = |program: &str, incarnation| {
-        let config = Learner::config(directory.path(), Mode::Sync, 1, incarnation);
-        let build = Build { program: program.to_owned(), cpu: "cpu".to_owned() };
-        Learner::start_with(LearnerConfig { build, ..config })
-    };
-    let mut learner = begin("a", 1);
-    let first = actor_of(directory.path(), "first", 1, "a");
-    learner.reach(6).await;
-    assert!(learner.stopped_with(first).await.reproducible);
-    let learner = begin("b", 2);
-    let events = Arc::clone(&learner.events);
-    let second = actor_of(directory.path(), "second", 1, "b");
-    let report = learner.report_with(second).await;
-    assert!(!report.reproducible);
-    assert!(report.builds.programs.iter().eq(["a", "b"]));
-    assert_reported(&events, |event| matches!(event, RunEvent::OtherBuild { actor: None, .. }));
-    assert!(!begin("a", 3).report().await.reproducible, "nor ever again");
 }
 
 fn pretended() -> StartKey {
