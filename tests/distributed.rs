@@ -266,6 +266,18 @@ impl Learner {
         assert_eq!(report.balance, Ok(()), "{:?}", report.books);
         report
     }
+
+    /// The report of a run that dismisses this actor when it ends.
+    async fn report_with(self, actor: ActorTask) -> RunReport {
+        let report = self.report().await;
+        dismissed(actor).await;
+        report
+    }
+
+    async fn stopped_with(self, actor: ActorTask) -> RunReport {
+        self.stop.cancel();
+        self.report_with(actor).await
+    }
 }
 
 fn endpoint(directory: &Path) -> Endpoint {
@@ -275,10 +287,6 @@ fn endpoint(directory: &Path) -> Endpoint {
 type ActorTask = JoinHandle<Result<ActorReport, leadtime_actor::Error>>;
 
 fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
-    actor_of(directory, name, incarnation, "test")
-}
-
-fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> ActorTask {
     let settings = ActorSettings {
         actor: ActorId::new(name).unwrap(),
         start: StartKey::numbered(
@@ -287,7 +295,7 @@ fn actor_of(directory: &Path, name: &str, incarnation: u64, program: &str) -> Ac
         run: None,
         connect: ConnectSettings::new(vec![endpoint(directory)]),
         reconnect_timeout: PATIENCE,
-        program: program.to_owned(),
+        program: "test".to_owned(),
         cpu: "cpu".to_owned(),
     };
     let run = leadtime_actor::run(settings, leadtime_worlds::builtin(), CancellationToken::new());
@@ -343,8 +351,7 @@ async fn policies_that_wait_for_their_evaluation_survive_a_stop_and_the_best_is_
     let directory = tempfile::tempdir().unwrap();
     let learner = judged(directory.path(), Judge::Works, 1);
     let helper = actor(directory.path(), "a", 1);
-    let expected = learner.report().await;
-    dismissed(helper).await;
+    let expected = learner.report_with(helper).await;
     assert_eq!(expected.digest, reference(Mode::Lag));
     let versions: Vec<u64> = expected.held_out.iter().map(|means| means.version.0).collect();
     assert_eq!(versions, [3, 6, 9, 12]);
@@ -353,15 +360,12 @@ async fn policies_that_wait_for_their_evaluation_survive_a_stop_and_the_best_is_
     let mut learner = judged(directory.path(), Judge::Hangs, 1);
     let helper = actor(directory.path(), "a", 1);
     learner.reach(6).await;
-    learner.stop.cancel();
-    let stopped = learner.report().await;
-    dismissed(helper).await;
+    let stopped = learner.stopped_with(helper).await;
     assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 6), "training waited");
     assert_eq!((stopped.held_out.len(), stopped.best.version), (0, stopped.last.version));
     let learner = judged(directory.path(), Judge::Works, 2);
     let helper = actor(directory.path(), "a", 2);
-    let report = learner.report().await;
-    dismissed(helper).await;
+    let report = learner.report_with(helper).await;
     assert_eq!((report.digest, &report.held_out), (expected.digest, &expected.held_out));
     assert_eq!(report.best.version, expected.best.version);
     assert_eq!(report.best.weights, expected.best.weights);
@@ -437,47 +441,11 @@ async fn an_evaluation_that_fails_is_told_and_ends_nothing() {
     let learner = Learner::start_judged(config, Some(Judge::Fails));
     let events = Arc::clone(&learner.events);
     let helper = actor(directory.path(), "a", 1);
-    let report = learner.report().await;
-    dismissed(helper).await;
+    let report = learner.report_with(helper).await;
     assert_eq!((report.end, report.digest), (RunEnd::Finished, reference(Mode::Sync)));
     assert_eq!((report.held_out.len(), report.best.version), (0, report.last.version));
     let failed = |event: &RunEvent| matches!(event, RunEvent::EvaluationFailed { reason, .. } if reason == "the world is broken");
     assert_reported(&events, failed);
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_actor_that_is_lost_and_replaced_changes_nothing() {
-    for mode in [Mode::Sync, Mode::Lag] {
-        let directory = tempfile::tempdir().unwrap();
-        let mut learner = Learner::start(directory.path(), mode, 2, 1);
-        let lost = actor(directory.path(), "lost", 1);
-        let stays = actor(directory.path(), "stays", 1);
-        learner.reach(4).await;
-        lost.abort();
-        let comes = actor(directory.path(), "comes", 1);
-        let events = Arc::clone(&learner.events);
-        let report = learner.report().await;
-        assert_eq!(report.digest, reference(mode), "{mode:?}");
-        dismissed(stays).await;
-        dismissed(comes).await;
-        assert_reported(&events, |event| {
-            matches!(event, RunEvent::ActorLeft { actor, n_envs, .. }
-                if actor.as_str() == "lost" && *n_envs > 0)
-        });
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_run_without_actors_waits_for_a_new_one() {
-    let directory = tempfile::tempdir().unwrap();
-    let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);
-    let lost = actor(directory.path(), "a", 1);
-    learner.reach(3).await;
-    lost.abort();
-    let again = actor(directory.path(), "a", 2);
-    let report = learner.report().await;
-    assert_eq!(report.digest, reference(Mode::Lag));
-    dismissed(again).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -487,17 +455,14 @@ async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
         let mut learner = Learner::start(directory.path(), mode, 1, 1);
         let first = actor(directory.path(), "first", 1);
         learner.reach(5).await;
-        learner.stop.cancel();
-        let stopped = learner.report().await;
+        let stopped = learner.stopped_with(first).await;
         assert_eq!(stopped.end, RunEnd::Stopped);
         assert!(stopped.n_updates < N_UPDATES);
-        dismissed(first).await;
         let resumed = Learner::start(directory.path(), mode, 1, 2);
         let second = actor(directory.path(), "second", 1);
-        let report = resumed.report().await;
+        let report = resumed.report_with(second).await;
         assert_eq!(report.digest, reference(mode), "{mode:?}");
         assert_eq!(report.books.trained, N_UPDATES * N_ENVS as u64);
-        dismissed(second).await;
         let again = Learner::start(directory.path(), mode, 1, 3).report().await;
         assert_eq!((again.end, again.digest), (RunEnd::AlreadyFinished, report.digest));
     }
@@ -509,9 +474,7 @@ async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back
     let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);
     let first = actor(directory.path(), "a", 1);
     learner.reach(7).await;
-    learner.stop.cancel();
-    let stopped = learner.report().await;
-    dismissed(first).await;
+    let stopped = learner.stopped_with(first).await;
     let files = std::fs::read_dir(directory.path().join("checkpoints")).unwrap();
     let files = files.map(|entry| entry.unwrap().path());
     let newest = files.filter(|file| file.extension().is_some_and(|e| e == "checkpoint")).max();
@@ -519,8 +482,7 @@ async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back
     let resumed = Learner::start(directory.path(), Mode::Lag, 1, 2);
     let events = Arc::clone(&resumed.events);
     let second = actor(directory.path(), "a", 2);
-    let report = resumed.report().await;
-    dismissed(second).await;
+    let report = resumed.report_with(second).await;
     assert_eq!(report.digest, reference(Mode::Lag));
     assert!(stopped.n_updates > 6);
     assert_reported(&events, |event| matches!(event, RunEvent::CheckpointDamaged { .. }));
@@ -561,31 +523,6 @@ async fn async_takes_what_comes_and_accounts_for_all_of_it() {
     assert_eq!(report.staleness.values().sum::<u64>(), report.books.trained);
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn a_run_that_another_build_goes_on_with_is_not_called_reproducible() {
-    let directory = tempfile::tempdir().unwrap();
-    let begin = |program: &str, incarnation| {
-        let config = Learner::config(directory.path(), Mode::Sync, 1, incarnation);
-        let build = Build { program: program.to_owned(), cpu: "cpu".to_owned() };
-        Learner::start_with(LearnerConfig { build, ..config })
-    };
-    let mut learner = begin("a", 1);
-    let first = actor_of(directory.path(), "first", 1, "a");
-    learner.reach(6).await;
-    learner.stop.cancel();
-    assert!(learner.report().await.reproducible);
-    dismissed(first).await;
-    let learner = begin("b", 2);
-    let events = Arc::clone(&learner.events);
-    let second = actor_of(directory.path(), "second", 1, "b");
-    let report = learner.report().await;
-    dismissed(second).await;
-    assert!(!report.reproducible);
-    assert!(report.builds.programs.iter().eq(["a", "b"]));
-    assert_reported(&events, |event| matches!(event, RunEvent::OtherBuild { actor: None, .. }));
-    assert!(!begin("a", 3).report().await.reproducible, "nor ever again");
-}
-
 fn pretended() -> StartKey {
     StartKey::numbered(2_000)
 }
@@ -619,10 +556,9 @@ async fn a_member_that_delivers_nothing_loses_its_environments_and_changes_no_bi
         }
     });
     let honest = actor(directory.path(), "honest", 1);
-    let report = learner.report().await;
+    let report = learner.report_with(honest).await;
     assert_eq!(report.digest, reference(Mode::Lag));
     assert!(report.reproducible);
-    dismissed(honest).await;
     follower.abort();
     assert_reported(&events, |event| {
         matches!(event, RunEvent::WaitingForRollouts { actor, n_envs, .. }
@@ -672,9 +608,8 @@ async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
     let (link, inbox) = pretender(directory.path(), "rogue").await;
     let honest = actor(directory.path(), "honest", 1);
     tokio::time::timeout(PATIENCE, poison(link, inbox)).await.expect("in time");
-    let report = learner.report().await;
+    let report = learner.report_with(honest).await;
     assert_eq!((report.end, report.n_updates), (RunEnd::Finished, N_UPDATES));
-    dismissed(honest).await;
     assert_reported(
         &events,
         |event| matches!(event, RunEvent::CutOff { actor, .. } if actor.as_str() == "rogue"),
@@ -687,9 +622,7 @@ async fn a_changed_configuration_is_refused() {
     let mut learner = Learner::start(directory.path(), Mode::Sync, 1, 1);
     let only = actor(directory.path(), "a", 1);
     learner.reach(1).await;
-    learner.stop.cancel();
-    learner.report().await;
-    dismissed(only).await;
+    learner.stopped_with(only).await;
     let changed = Learner::start(directory.path(), Mode::Lag, 1, 2);
     let error = changed.task.await.unwrap().unwrap_err();
     assert!(matches!(error, leadtime_learner::Error::ConfigurationChanged { .. }), "{error}");

@@ -16,7 +16,7 @@ use leadtime_learner::coordinator::{
     Coordinator, CoordinatorSettings, CoordinatorStart, Effect, TICK,
 };
 use leadtime_learner::rollout_queue::RolloutQueue;
-use leadtime_learner::{Books, MembershipNumber, RunEvent};
+use leadtime_learner::{MembershipNumber, RunEvent};
 use leadtime_link::{ConnectSettings, Error as LinkError, StartKey};
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::{MAX_COUNT, MAX_HEARD_EPOCH};
@@ -171,13 +171,6 @@ struct World {
 
 impl World {
     fn new(seed: u64) -> Self {
-        let start = CoordinatorStart {
-            places: Vec::new(),
-            epoch: Epoch(0),
-            version: PolicyVersion(0),
-            books: Books::default(),
-            builds: Builds::default(),
-        };
         let mut world = Self {
             dice: seed,
             zero: Instant::now(),
@@ -187,7 +180,7 @@ impl World {
             n_numbers: 0,
             learner: None,
             starts: BTreeMap::new(),
-            saved: (start, 0),
+            saved: (CoordinatorStart::default(), 0),
             actors: Vec::new(),
             trained: Vec::new(),
             n_lost_snapshots: 0,

@@ -49,7 +49,6 @@ impl Assigner {
         self.owners.len()
     }
 
-    /// Opens the next epoch.
     pub(crate) fn next_epoch(&mut self) -> Epoch {
         self.epoch = self.epoch.next();
         self.epoch

@@ -47,7 +47,6 @@ pub struct LearnerConfig {
 }
 
 impl LearnerConfig {
-    /// Returns the environment steps of one update.
     pub(crate) fn steps_per_update(&self) -> u64 {
         self.settings.n_envs as u64 * self.settings.n_steps as u64
     }

@@ -66,7 +66,7 @@ pub struct CoordinatorSettings {
 }
 
 /// Where a coordinator starts: the beginning, or a checkpoint.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct CoordinatorStart {
     /// Where every environment stands.
     pub places: Vec<EnvAssignment>,

@@ -35,8 +35,7 @@ pub(crate) async fn already_trained(
     last.held_out = point.record.held_out.of(version);
     sink.on_policies(&last, best(&point.record, evaluations.as_ref(), &last));
     let CoordinatorStart { books, builds, .. } = point.start;
-    let policies = FinalPolicies::of(&point.record, evaluations.as_ref(), last);
-    report(config, end, policies, point.record, books, builds)
+    report(config, end, last, evaluations.as_ref(), point.record, books, builds)
 }
 
 /// Returns the best policy of a run: the last one where none was evaluated.
@@ -48,34 +47,16 @@ pub(crate) fn best<'a>(
     evaluations.and_then(|_| record.held_out.best()).unwrap_or(last)
 }
 
-/// The newest policy and the best one.
-pub(crate) struct FinalPolicies {
-    last: RatedPolicy,
-    best: RatedPolicy,
-}
-
-impl FinalPolicies {
-    /// Finds them at the end of a run.
-    pub(crate) fn of(
-        record: &TrainingRecord,
-        evaluations: Option<&Evaluations>,
-        last: RatedPolicy,
-    ) -> Self {
-        let best = best(record, evaluations, &last).clone();
-        Self { last, best }
-    }
-}
-
-/// Reports how a run ended.
 pub(crate) fn report(
     config: &LearnerConfig,
     end: RunEnd,
-    policies: FinalPolicies,
+    last: RatedPolicy,
+    evaluations: Option<&Evaluations>,
     record: TrainingRecord,
     books: Books,
     builds: Builds,
 ) -> Result<RunReport, Error> {
-    let FinalPolicies { last, best } = policies;
+    let best = best(&record, evaluations, &last).clone();
     let n_updates = last.version.0;
     Ok(RunReport {
         end,

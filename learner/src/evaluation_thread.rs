@@ -36,10 +36,6 @@ pub(crate) struct EvaluationThread {
 
 impl EvaluationThread {
     /// Starts the thread that plays the episodes.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Thread`] if the system starts no further thread.
     pub(crate) fn start(evaluator: Box<dyn PolicyEvaluator>) -> Result<Self, Error> {
         let (waiting, inbox) = sync_channel(DEPTH);
         let (outbox, evaluated) = mpsc::channel(DEPTH);

@@ -76,10 +76,8 @@ pub(crate) fn begin(
     let mut point = ResumePoint {
         start: CoordinatorStart {
             places: RolloutQueue::beginning(settings.n_envs),
-            epoch: Epoch(0),
             version: trainer.version(),
-            books: Books::default(),
-            builds: Builds::default(),
+            ..CoordinatorStart::default()
         },
         offered: BTreeMap::new(),
         trainer,

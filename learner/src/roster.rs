@@ -97,7 +97,6 @@ impl SenderState {
         self.answered != MembershipNumber::default()
     }
 
-    /// Returns whether it has ever been a member.
     pub(crate) fn has_been_member(&self) -> bool {
         self.membership != MembershipNumber::default()
     }

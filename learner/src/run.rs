@@ -637,9 +637,8 @@ impl RunLoop {
             self.save_end(stop).await?;
         }
         let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
-        let policies =
-            ending::FinalPolicies::of(&self.record, self.evaluations.as_ref(), self.last());
-        ending::report(&self.config, end, policies, self.record.clone(), books, builds)
+        let (last, evaluations) = (self.last(), self.evaluations.as_ref());
+        ending::report(&self.config, end, last, evaluations, self.record.clone(), books, builds)
     }
 
     /// Goes on listening until the actors have left and the update under way is done, or time is up.

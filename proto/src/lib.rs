@@ -23,7 +23,7 @@
 //! [`rollout::Rollout`] is the message that everything else exists for.
 
 pub mod codec;
-#[cfg(feature = "fakes")]
+#[cfg(any(test, feature = "fakes"))]
 pub mod fakes;
 pub mod header;
 pub mod hex;

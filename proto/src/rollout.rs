@@ -249,31 +249,18 @@ fn within<T: Copy + Into<f64>>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ActionSpec;
+    use crate::{ActionSpec, fakes};
 
     fn rollout() -> Rollout {
         let summary =
             EpisodeSummary { episode: 0, episode_return: 0.0, length: 1, metrics: vec![0.0] };
         let (final_observation, final_value) = (vec![0.0], 0.0);
+        let end = EpisodeEnd { step: 0, truncated: true, final_observation, final_value, summary };
         Rollout {
-            n_steps: 1,
-            observations: vec![0.0],
-            next_observation: vec![0.0],
-            masks: vec![u64::MAX],
-            actions: vec![0],
-            log_probs: vec![0.0],
-            values: vec![0.0],
-            rewards: vec![0.0],
-            ends: vec![EpisodeEnd {
-                step: 0,
-                truncated: true,
-                final_observation,
-                final_value,
-                summary,
-            }],
+            ends: vec![end],
             recurrent: vec![0.0],
             snapshot: vec![1],
-            ..Rollout::default()
+            ..fakes::rollout(EnvId(0), Iteration(0), PolicyVersion(0))
         }
     }
 

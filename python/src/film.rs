@@ -27,16 +27,8 @@ impl Film {
         let scene = environment.scene().ok_or_else(|| {
             PyValueError::new_err(format!("`{domain}` cannot be drawn: leave out render_mode"))
         })?;
-        let played = Playthrough {
-            player: String::new(),
-            seed: 0,
-            index: 0,
-            scenes: Vec::new(),
-            total_reward: 0.0,
-            success: None,
-        };
         let voice = Voice::shipped(domain, &scene.listener.topics);
-        Ok(Self { rasterizer: Rasterizer::new(), voice, played })
+        Ok(Self { rasterizer: Rasterizer::new(), voice, played: Playthrough::default() })
     }
 
     /// Begins an episode anew; one that goes on from a snapshot has no past.

@@ -17,7 +17,7 @@ use crate::scene::{Scene, Speech};
 use crate::scriptable::Scriptable;
 
 /// Names the random streams of one episode of one environment of one run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EpisodeSeed {
     /// Seed of the run.
     pub run_seed: u64,

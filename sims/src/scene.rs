@@ -3,8 +3,11 @@
 //!
 //! Worlds describe, the crate `leadtime-eval` draws: no colour, size or file format is decided here.
 
+use serde::Serialize;
+
 /// What a shape means; the painter chooses the colour.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Tone {
     /// Ground, road and walls.
     Ground,

@@ -6,13 +6,9 @@ use std::path::Path;
 use std::process::Command;
 
 use crate::support::{
-    Finished, PATIENCE, Place, Running, checkpoints, record, repository, wait_for_words,
+    Finished, PATIENCE, PEER_LOST, Place, Running, WRONG_INPUT, checkpoints, record, repository,
+    wait_for_words,
 };
-
-/// Exit code for wrong input.
-const WRONG_INPUT: i32 = 2;
-/// Exit code for a peer that is not there.
-const PEER_LOST: i32 = 3;
 
 /// A small CartPole run that takes a few seconds.
 const SMALL: &str = "-c cartpole --set learner.n_steps=32 --set learner.total_steps=2560 --set run.checkpoint_every=4";
@@ -283,36 +279,6 @@ fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
     assert!(listed.contains(&format!("fa {}", &digest[..12])), "{listed}");
     let report = fs::read_to_string(place.run("fc").join("report.html")).unwrap();
     assert!(report.contains(&digest), "the report names the starting weights");
-}
-
-#[test]
-fn a_run_that_lost_its_checkpoints_keeps_its_policy() {
-    let place = Place::new();
-    let up = |steps: &str| {
-        let steps = format!("learner.total_steps={steps}");
-        place.finish(&["up --name gone --actors 1", SMALL, "--set", &steps])
-    };
-    up("2560").with_code(0);
-    let policy = place.run("gone").join("policy.safetensors");
-    let before = fs::read(&policy).unwrap();
-    fs::remove_dir_all(place.run("gone").join("checkpoints")).unwrap();
-    up("5120").with_code(WRONG_INPUT).saying(&["20 updates on record", "--fork gone"]);
-    assert!(fs::read(&policy).unwrap() == before, "the finished policy stays");
-}
-
-#[test]
-fn learners_that_start_at_once_have_runs_of_their_own() {
-    let place = Place::new();
-    let start = |seed: &str| {
-        let endpoint = place.endpoint(seed);
-        place.start(&["learner --seed", seed, "--listen", &endpoint, SMALL])
-    };
-    let learners = ["1", "2", "3", "4"].map(start);
-    for learner in &learners {
-        wait_for_words(learner, "listening");
-    }
-    assert_eq!(fs::read_dir(place.path().join("runs")).unwrap().count(), 4);
-    learners.into_iter().for_each(Running::kill);
 }
 
 #[test]

@@ -2,9 +2,7 @@
 
 use std::fs;
 
-use crate::support::Place;
-
-const WRONG_INPUT: i32 = 2;
+use crate::support::{Place, WRONG_INPUT};
 
 /// A person whose delay differs from episode to episode.
 const VARIED: &str = "human.reaction_delay={uniform={low=0,high=5,drawn=\"per_episode\"}}";

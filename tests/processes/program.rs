@@ -18,6 +18,12 @@ fn trained() -> Place {
     place
 }
 
+/// Names everybody who plays in an evaluation.
+fn players(evaluation: &Value) -> Vec<&str> {
+    let players = evaluation["comparison"]["summaries"].as_array().unwrap();
+    players.iter().filter_map(|player| player["player"].as_str()).collect()
+}
+
 #[test]
 fn help_explains_itself_and_lists_exit_codes() {
     let place = Place::new();
@@ -167,6 +173,8 @@ fn a_run_leaves_everything_that_is_promised() {
     // The stored configuration is complete and can be used as it is.
     let stored = run.join("config.toml");
     place.finish(&["check", "-c", stored.to_str().unwrap()]).with_code(0);
+    // Who starts it once more is told that there is nothing to do.
+    place.finish(&[TRAIN]).with_code(0).saying(&["finished"]);
 }
 
 #[test]
@@ -364,9 +372,7 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
         assert!(run.join(file).is_file(), "{file}");
     }
     assert_eq!(printed["books"]["balanced"], true);
-    let players = printed["comparison"]["summaries"].as_array().unwrap();
-    let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
-    assert_eq!(names, ["trained", "unaided", "heuristic", "untrained"]);
+    assert_eq!(players(&printed), ["trained", "unaided", "heuristic", "untrained"]);
     // A report made later has the same verdict and says why.
     place.finish(&["report", run.to_str().unwrap(), "--episodes 2"]).with_code(0);
     let report = fs::read_to_string(run.join("report.html")).unwrap();
@@ -420,19 +426,14 @@ fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
     let policy = repository("deploy/policies/piloting.safetensors");
     place.write("up.toml", "[[rules]]\nsay = { topic = \"ascend\", k = 2, l = 2 }\n");
     let eval = ["eval", &policy, "--episodes 1 --json --baseline up.toml --baseline oracle"];
-    let players = place.finish(&eval).with_code(0).json();
-    let players = players["comparison"]["summaries"].as_array().unwrap();
-    let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
-    assert_eq!(names, ["policy", "up", "oracle"]);
+    assert_eq!(players(&place.finish(&eval).with_code(0).json()), ["policy", "up", "oracle"]);
     place.finish(&["play", &policy, "-o up.svg --baseline up.toml"]).with_code(0);
     // Two files of one name are told apart.
     fs::create_dir(place.file("b")).unwrap();
     place.write("b/up.toml", "[[rules]]\nsay = { topic = \"descend\", k = 2, l = 2 }\n");
     let eval = ["eval", &policy, "--episodes 1 --json --baseline up.toml --baseline b/up.toml"];
-    let players = place.finish(&eval).with_code(0).json();
-    let players = players["comparison"]["summaries"].as_array().unwrap();
-    let names: Vec<&str> = players.iter().filter_map(|player| player["player"].as_str()).collect();
-    assert_eq!(names, ["policy", "up.toml", "b/up.toml"]);
+    let told_apart = ["policy", "up.toml", "b/up.toml"];
+    assert_eq!(players(&place.finish(&eval).with_code(0).json()), told_apart);
     place.write("odd.toml", "[[rules]]\nsay = { topic = \"upwards\", k = 2, l = 2 }\n");
     let eval = ["eval", &policy, "--episodes 1 --baseline odd.toml"];
     place.finish(&eval).with_code(2).saying(&["odd", "rule 1", "no topic `upwards`"]);

@@ -7,12 +7,10 @@ use leadtime_recording::{RecordedTopic, RecordingFile, RecordingWriter};
 use serde_json::{Value, json};
 
 use crate::notifier::{policy, serve};
-use crate::support::{PATIENCE, Place, Running, repository, signal, wait_for_words, wait_until};
-
-/// The exit codes of a failed check, of wrong input and of a peer that is not there.
-const FAILED: i32 = 1;
-const WRONG_INPUT: i32 = 2;
-const PEER_LOST: i32 = 3;
+use crate::support::{
+    FAILED, PATIENCE, PEER_LOST, Place, Running, WRONG_INPUT, repository, signal, wait_for_words,
+    wait_until,
+};
 
 /// Starts a recorder and waits until it takes everything.
 fn record(place: &Place, file: &str, more: &str) -> Running {

@@ -9,11 +9,9 @@ use leadtime_serve::{HeardSay, SayEvent};
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
-use crate::notifier::{self, link, policy};
-use crate::support::{PATIENCE, Place, Running, signal, wait_for_words};
+use crate::notifier::{self, coming_down, link, policy};
+use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words};
 
-/// The exit code of wrong input.
-const WRONG_INPUT: i32 = 2;
 /// Between two observations.
 const PAUSE: Duration = Duration::from_millis(20);
 const STATUS: &str = "leadtime/live/1/notifier/arm-1/status";
@@ -23,12 +21,16 @@ fn serve(place: &Place, more: &str) -> Running {
     notifier::serve(place, &more)
 }
 
-/// What a lander sees that comes down beside the pad.
+/// What a lander sees, as numbers alone.
 fn numbers(step: i64) -> Vec<u8> {
-    let step = step as f32;
-    let y = (1.4 - step / 400.0).max(0.0);
-    let values = [0.4 * (step / 15.0).sin(), y, 0.0, -0.2, 0.0, 0.0, 0.0, 0.0];
-    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+    coming_down(step as f32).iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+/// The same as our JSON, with more keys.
+fn json_of(step: i64, more: &Value) -> Message {
+    let mut observation = json!({"obs": coming_down(step as f32)});
+    observation.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+    (observation.to_string().into_bytes(), None)
 }
 
 /// The same as a message of ROS 2.
@@ -170,12 +172,7 @@ fn what_a_robot_observes_on_its_own_key_is_recorded_and_a_restart_of_the_notifie
         wait_for_words(&notifier, "is at work");
         notifier
     };
-    let observe = |step: i64| {
-        let numbers = numbers(step);
-        let values: Vec<f32> =
-            numbers.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-        (json!({"obs": values, "episode": step / 20}).to_string().into_bytes(), None)
-    };
+    let observe = |step: i64| json_of(step, &json!({"episode": step / 20}));
     let notifier = start();
     let recorder = place.start(&["record -o r.mcap --connect", &to]);
     wait_for_words(&recorder, "recording notifier");
@@ -217,11 +214,7 @@ fn what_a_robot_observes_on_its_own_key_is_recorded_and_a_restart_of_the_notifie
 fn a_robot_may_send_json_or_cdr_and_be_told_in_24_bytes() {
     let place = Place::new();
     let keys = "--obs-key robot1/obs --say-key robot1/say";
-    let json = |step: i64| {
-        let values: Vec<f32> =
-            numbers(step).as_chunks().0.iter().map(|it| f32::from_le_bytes(*it)).collect();
-        (serde_json::json!({"obs": values, "facts": ["zone_below"]}).to_string().into_bytes(), None)
-    };
+    let json = |step: i64| json_of(step, &json!({"facts": ["zone_below"]}));
     {
         let _notifier = serve(&place, &format!("{keys} --obs-form json --say-form binary"));
         let robot = Robot::connect(&place);

@@ -163,17 +163,3 @@ fn a_directory_that_is_not_the_supervisors_is_never_removed() {
     learner.finish(5 * SECOND).with_code(130);
     assert!(std::path::Path::new(&mine).exists());
 }
-
-#[test]
-fn a_run_under_supervision_ends_by_itself_and_is_on_record() {
-    let place = Place::new();
-    let short = [LONG, "--set learner.total_steps=1280"];
-    let done = place.finish(&short).with_code(0);
-    assert!(done.stdout.contains("weights"), "{}", done.stdout);
-    let result = result(&place.run("r"));
-    assert_eq!(result["updates"], 10);
-    let list = place.finish(&["runs --json"]).with_code(0).json();
-    assert_eq!(list[0]["name"], "r");
-    assert_eq!(list[0]["state"], "finished");
-    place.finish(&short).with_code(0).saying(&["finished"]);
-}

@@ -15,6 +15,11 @@ use leadtime_proto::{ActorId, fakes};
 use serde_json::Value;
 use tempfile::TempDir;
 
+/// The exit codes of a failed check, of wrong input and of a peer that is not there.
+pub(crate) const FAILED: i32 = 1;
+pub(crate) const WRONG_INPUT: i32 = 2;
+pub(crate) const PEER_LOST: i32 = 3;
+
 /// The longest that anything in these tests may take.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 /// The longest wait for one message.
@@ -230,7 +235,6 @@ pub(crate) fn wait_for_words(process: &Running, words: &str) {
     wait_until(words, PATIENCE, || process.stderr().contains(words));
 }
 
-/// Waits until a condition holds.
 #[track_caller]
 pub(crate) fn wait_until(what: &str, patience: Duration, mut condition: impl FnMut() -> bool) {
     let deadline = Instant::now() + patience;
@@ -299,7 +303,6 @@ pub(crate) fn journal(run: &Path) -> Vec<u64> {
     journal.lines().map(|line| number(line).expect("every line has its update")).collect()
 }
 
-/// Returns a run's record.
 pub(crate) fn record(run: &Path) -> Value {
     let text = fs::read_to_string(run.join("run.json")).expect("the run has a record");
     serde_json::from_str(&text).expect("the record is JSON")

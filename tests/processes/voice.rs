@@ -10,11 +10,9 @@ use leadtime_serve::observation::{ObservationHead, write_json};
 use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
-use crate::notifier::{link, policy, port};
-use crate::support::{PATIENCE, Place, Running, signal, wait_for_words, wait_until};
+use crate::notifier::{link, policy, port, question};
+use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words, wait_until};
 
-/// The exit code of wrong input.
-const WRONG_INPUT: i32 = 2;
 /// Samples per second of the shipped sound.
 const RATE: usize = 16_000;
 
@@ -42,13 +40,9 @@ struct Listener {
 impl Listener {
     fn open(place: &Place, more: &Value) -> Self {
         let (runtime, link) = link(place);
-        let mut question = json!({"protocol": 1, "domain": "lander"});
-        for (key, value) in more.as_object().unwrap() {
-            question[key] = value.clone();
-        }
         let (port, answer) = runtime.block_on(async {
             let port = port(&link, "car-1", Incarnation(1)).await;
-            let answer = port.ask(question.to_string().into_bytes()).await.unwrap();
+            let answer = port.ask(question(&[more])).await.unwrap();
             (port, serde_json::from_slice(&answer).unwrap())
         });
         let (says, statuses) = (Vec::new(), Vec::new());

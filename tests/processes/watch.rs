@@ -179,13 +179,9 @@ fn a_run_on_this_disk_goes_on_where_its_learner_went_on() {
     read_until(&mut events, "event: update\ndata: {");
     while !read_until(&mut events, "\n").contains(&newest) {}
     // All that scripts get agrees.
-    let (state, newest) = (state(&address), Value::from(back + 1));
+    let state: Value = serde_json::from_str(&get(&address, "/state.json").1).unwrap();
+    let newest = Value::from(back + 1);
     assert_eq!((&state["state"]["update"], &state["history"]["to"]), (&newest, &newest));
-}
-
-/// Asks for everything at once.
-fn state(address: &str) -> Value {
-    serde_json::from_str(&get(address, "/state.json").1).unwrap()
 }
 
 #[test]

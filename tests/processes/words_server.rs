@@ -7,10 +7,7 @@ use std::fs;
 use leadtime_taxonomy::pipeline::DatabasePlan;
 use leadtime_taxonomy::pipeline::fakes::{Manner, Server};
 
-use crate::support::{Finished, PATIENCE, Place, Running, repository};
-
-/// Exit code for wrong input: a model that cannot do it is one.
-const WRONG_INPUT: i32 = 2;
+use crate::support::{Finished, PATIENCE, Place, Running, WRONG_INPUT, repository};
 
 /// A plan of the highway's first topic alone, as file and read.
 fn small_plan(place: &Place) -> DatabasePlan {
@@ -79,6 +76,7 @@ fn a_model_that_talks_nonsense_is_given_up_and_its_replies_are_kept() {
     let server = Server::start(&small_plan(&place), &[Manner::Nonsense]);
     let wrong = "are malformed: its template or the model is wrong";
     let says = format!("error: 50 of the last 50 replies of m at {} {wrong}\n", server.url);
+    // A model that cannot do it is wrong input.
     for _ in 0..2 {
         let given_up = finish(&place, &server).with_code(WRONG_INPUT);
         assert!(given_up.stderr.ends_with(&says), "{}", given_up.stderr);

@@ -32,7 +32,6 @@ pub(crate) struct Task {
     pub(crate) spec: TaskSpec,
 }
 
-/// The sections of a notifier problem.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct NotifierSections<W> {

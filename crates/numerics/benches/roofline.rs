@@ -12,8 +12,8 @@
 use std::hint::black_box;
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use leadtime_numerics::Pcg64;
 use leadtime_numerics::kernel::{Activation, Panels, add_outer_products};
-use leadtime_numerics::{Pcg64, tanh_inplace};
 use pulp::{Arch, Simd, WithSimd};
 
 /// Independent chains of fused multiply-adds: more than latency times multipliers.
@@ -98,9 +98,6 @@ fn kernels(criterion: &mut Criterion) {
             bencher.iter(|| add_outer_products(&b, &a, n, k, &mut products));
         });
     }
-    let mut values = draws(ROWS * 64, 4);
-    group.throughput(Throughput::Elements(values.len() as u64));
-    group.bench_function("tanh, values", |bencher| bencher.iter(|| tanh_inplace(&mut values)));
     group.finish();
 }
 

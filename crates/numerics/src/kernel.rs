@@ -53,7 +53,7 @@ const DEPTH: usize = 248;
 pub enum Activation {
     /// The output is stored as it is.
     Linear,
-    /// The hyperbolic tangent ([`crate::tanh_inplace`]).
+    /// The hyperbolic tangent ([`crate::elementary`]).
     Tanh,
     /// Zero where it is negative.
     Relu,

@@ -24,7 +24,6 @@ pub mod streams;
 pub mod thin;
 
 pub use dense::{Dense, DenseError};
-pub use elementary::tanh_inplace;
 pub use kernel::{Activation, Panels};
 pub use orthogonal::orthogonal;
 pub use pcg64::Pcg64;

@@ -79,6 +79,13 @@ fn even(max_points: usize) -> usize {
     max_points.max(2) / 2 * 2
 }
 
+/// An empty series, of which others are made by [`ThinSeries::resume`].
+impl Default for ThinSeries {
+    fn default() -> Self {
+        Self::new(0)
+    }
+}
+
 impl ThinSeries {
     /// Starts an empty series that will have at most `max_points` points, an even number.
     pub fn new(max_points: usize) -> Self {

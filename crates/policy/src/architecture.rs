@@ -164,7 +164,6 @@ pub fn layers(spec: &PolicySpec, branch: Branch) -> Vec<Layer> {
     layers
 }
 
-/// Lists the layers of the encoder.
 fn encoder_layers(spec: &PolicySpec) -> Vec<Layer> {
     match &spec.encoder {
         Encoder::Identity => Vec::new(),

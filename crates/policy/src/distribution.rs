@@ -145,18 +145,9 @@ impl ActionDistribution {
 
     /// Returns the log-probability of an action over the heads that count, in nats.
     pub fn log_prob(&self, logits: &[f32], mask: Mask, action: &[u8]) -> f32 {
-        self.fresh_terms(logits, mask, action).log_prob
-    }
-
-    /// Returns the entropy of the heads that count, each given the action's earlier choices, in nats.
-    pub fn entropy(&self, logits: &[f32], mask: Mask, action: &[u8]) -> f32 {
-        self.fresh_terms(logits, mask, action).entropy
-    }
-
-    fn fresh_terms(&self, logits: &[f32], mask: Mask, action: &[u8]) -> ActionTerms {
         let mut terms = ActionTerms::default();
         self.terms(logits, mask, action, &mut terms);
-        terms
+        terms.log_prob
     }
 
     /// Computes log-probability and entropy of an action and keeps what their gradients need.

@@ -16,7 +16,6 @@ use crate::storage::with_floats;
 /// Gradients by tensor name.
 pub(crate) type Gradients = BTreeMap<String, Vec<f32>>;
 
-/// The gradient of one layer.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct LayerGradient {
     /// Gradient of the weights. `[n_out, n_in]`

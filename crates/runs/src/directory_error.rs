@@ -33,7 +33,6 @@ pub enum RunDirError {
     Name(#[from] InvalidId),
 }
 
-/// Writes an error with its causes.
 pub(crate) fn with_causes(error: &dyn Error) -> String {
     let causes = std::iter::successors(Some(error), |&error| error.source());
     causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")

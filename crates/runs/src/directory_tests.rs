@@ -1,13 +1,12 @@
 use super::*;
 use crate::ResultCause;
-use crate::clock;
 use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
-use serde_json::{Value, json};
+use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
@@ -50,15 +49,7 @@ fn begun(runs: &Path, name: Option<&str>, set: &[&str]) -> RunName {
 }
 
 fn result() -> RunResult {
-    RunResult {
-        finished: clock::utc_now(),
-        end: ResultCause::TotalSteps,
-        updates: 20,
-        steps: 1,
-        weights_sha256: String::new(),
-        reproducible: true,
-        books: Value::Null,
-    }
+    RunResult { updates: 20, steps: 1, reproducible: true, ..RunResult::default() }
 }
 
 fn fork(runs: &Path, run: &str, seed: u64) -> Fork {
@@ -236,9 +227,11 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
     begun(runs.path(), Some("gone"), &[]);
     open(runs.path(), Some("gone"), &[]).unwrap().0.finish(result()).unwrap();
     fs::remove_file(runs.path().join("gone/checkpoints/000000000020.checkpoint")).unwrap();
-    for name in ["late", "gone"] {
+    for (name, on_record) in [("late", "21 updates on record"), ("gone", "20 updates on record")] {
         let error = open(runs.path(), Some(name), &["learner.total_steps=600000"]).unwrap_err();
-        assert!(error.to_string().contains(&format!("--fork {name}")), "{error}");
+        let text = error.to_string();
+        assert!(text.contains(on_record) && text.contains(&format!("--fork {name}")), "{text}");
+        assert_eq!(fs::read(runs.path().join(name).join(LAST_POLICY)).unwrap(), b"weights");
     }
     assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
     // Without a name, another run is begun instead.

@@ -101,10 +101,10 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 ///
 /// If the file is there and cannot be read.
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
-    let mut history = ThinHistory::new(n_points);
-    match regular::open(&directory.join("metrics.jsonl")) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-        file => history.read(BufReader::new(file?), from)?,
+    let series = ThinSeries::new(n_points);
+    let mut history = ThinHistory { series, ..ThinHistory::default() };
+    if let Some(file) = regular::if_there(regular::open(&directory.join("metrics.jsonl")))? {
+        history.read(BufReader::new(file), from)?;
     }
     Ok(history.into_json(from))
 }
@@ -137,9 +137,8 @@ impl JournalTail {
     ///
     /// If the file is there and cannot be read.
     pub fn new_lines(&mut self) -> io::Result<Option<Vec<Map<String, Value>>>> {
-        let mut file = match regular::open(&self.path) {
-            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Some(Vec::new())),
-            file => file?,
+        let Some(mut file) = regular::if_there(regular::open(&self.path))? else {
+            return Ok(Some(Vec::new()));
         };
         let metadata = file.metadata()?;
         let (length, found) = (metadata.len(), (metadata.dev(), metadata.ino()));
@@ -160,7 +159,7 @@ impl JournalTail {
 }
 
 /// A history in the making.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct ThinHistory {
     series: ThinSeries,
     /// When the first update was made, in seconds since the Unix epoch.
@@ -171,16 +170,6 @@ struct ThinHistory {
 }
 
 impl ThinHistory {
-    fn new(n_points: usize) -> Self {
-        Self {
-            series: ThinSeries::new(n_points),
-            started: None,
-            staleness: VecDeque::new(),
-            last: Map::new(),
-            n_skipped: 0,
-        }
-    }
-
     fn read(&mut self, mut file: BufReader<File>, from: u64) -> io::Result<()> {
         let mut line = Vec::new();
         while file.read_until(b'\n', &mut line)? > 0 {

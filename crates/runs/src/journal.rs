@@ -89,10 +89,7 @@ pub fn last_update(run_directory: &Path) -> u64 {
 ///
 /// If there is a journal that cannot be read.
 pub(crate) fn last(run_directory: &Path, key: &str) -> io::Result<u64> {
-    let tail = match tail(run_directory) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
-        tail => tail?,
-    };
+    let Some(tail) = regular::if_there(tail(run_directory))? else { return Ok(0) };
     let text = String::from_utf8_lossy(&tail);
     let mut lines = text.lines().rev();
     let line = lines.find_map(|line| serde_json::from_str::<Map<String, Value>>(line).ok());

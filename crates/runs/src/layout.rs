@@ -48,9 +48,8 @@ pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
         return Ok(true);
     }
     let io = |source| RunDirError::Io { path: path.to_owned(), source };
-    let entries = match fs::read_dir(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
-        entries => entries.map_err(io)?,
+    let Some(entries) = regular::if_there(fs::read_dir(path)).map_err(io)? else {
+        return Ok(false);
     };
     for entry in entries {
         let name = entry.map_err(io)?.file_name();
@@ -146,9 +145,8 @@ fn has_lost_policies(path: &Path, has_checkpoints: bool) -> bool {
 
 /// Lists the checkpoints of a run directory; none if it has no folder for them.
 pub(crate) fn checkpoints(path: &Path) -> io::Result<Vec<PathBuf>> {
-    let entries = match fs::read_dir(path.join(CHECKPOINTS)) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        entries => entries?,
+    let Some(entries) = regular::if_there(fs::read_dir(path.join(CHECKPOINTS)))? else {
+        return Ok(Vec::new());
     };
     let files = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>()?;
     let is_checkpoint = |file: &PathBuf| file.extension().is_some_and(|e| e == "checkpoint");

@@ -95,15 +95,10 @@ impl LoadedPolicy {
         };
         let place = format!("the configuration in {}", path.display());
         let config = Config::stored(&place, text, changes, registry)?;
-        match Parameters::from_safetensors(&bytes, &config.policy) {
-            Ok(parameters) => {
-                check_weights(&path, &metadata, &parameters)?;
-                let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
-                let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
-                Ok(Self { path, config, parameters, n_updates, sha256 })
-            }
-            Err(source) => Err(PolicyFileError::Misfit { path, source }),
-        }
+        let (parameters, _) = weights(&path, &bytes, &metadata, &config.policy)?;
+        let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
+        let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
+        Ok(Self { path, config, parameters, n_updates, sha256 })
     }
 
     /// Makes it a player under a name; without `action` it chooses as its configuration says.
@@ -139,14 +134,9 @@ impl Fork {
     pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
         let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
         let (bytes, metadata) = read(&path)?;
-        match weights_digest(&bytes, &config.policy) {
-            Ok(weights_sha256) => {
-                check_digest(&path, &metadata, &weights_sha256)?;
-                let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
-                Ok(Self { origin, bytes })
-            }
-            Err(source) => Err(PolicyFileError::Misfit { path, source }),
-        }
+        let (_, weights_sha256) = weights(&path, &bytes, &metadata, &config.policy)?;
+        let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
+        Ok(Self { origin, bytes })
     }
 }
 
@@ -165,10 +155,7 @@ pub(crate) fn is_in(directory: &Path) -> bool {
 
 /// Returns how many optimiser iterations made a policy file; 0 if it is not there.
 pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
-    let bytes = match regular::read(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
-        bytes => bytes?,
-    };
+    let Some(bytes) = regular::if_there(regular::read(path))? else { return Ok(0) };
     let version = read_metadata(&bytes).ok().and_then(|entries| entries.get(VERSION)?.parse().ok());
     // One that cannot be read is somebody's work all the same.
     Ok(version.unwrap_or(1))
@@ -213,7 +200,6 @@ pub fn what_it_is(bytes: &[u8], error: &dyn std::error::Error) -> String {
     }
 }
 
-/// Reads a policy file with its metadata.
 fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileError> {
     let unread = |source| PolicyFileError::Read { path: path.to_owned(), source };
     let bytes = fs::read(path).map_err(unread)?;
@@ -223,26 +209,19 @@ fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileEr
     }
 }
 
-/// Checks weights by the digest that was written with them.
-fn check_weights(
+/// Reads the weights in a policy file, and checks them by the digest that was written with them; returns both.
+fn weights(
     path: &Path,
+    bytes: &[u8],
     metadata: &BTreeMap<String, String>,
-    parameters: &Parameters,
-) -> Result<(), PolicyFileError> {
-    let digest = parameters.digest();
-    let digest =
-        digest.map_err(|source| PolicyFileError::Misfit { path: path.to_owned(), source })?;
-    check_digest(path, metadata, &hex::encode(&digest))
-}
-
-fn check_digest(
-    path: &Path,
-    metadata: &BTreeMap<String, String>,
-    digest: &str,
-) -> Result<(), PolicyFileError> {
+    policy: &PolicySpec,
+) -> Result<(Parameters, String), PolicyFileError> {
+    let misfit = |source| PolicyFileError::Misfit { path: path.to_owned(), source };
+    let parameters = Parameters::from_safetensors(bytes, policy).map_err(misfit)?;
+    let digest = hex::encode(&parameters.digest().map_err(misfit)?);
     match metadata.get(WEIGHTS_SHA256) {
-        Some(written) if written != digest => Err(PolicyFileError::Damaged(path.to_owned())),
-        _ => Ok(()),
+        Some(written) if *written != digest => Err(PolicyFileError::Damaged(path.to_owned())),
+        _ => Ok((parameters, digest)),
     }
 }
 

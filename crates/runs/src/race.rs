@@ -99,16 +99,10 @@ pub struct RacerRecord {
 
 impl RacerRecord {
     /// Reads the record in a run's directory; an empty one if there is none.
-    ///
-    /// # Errors
-    ///
-    /// If it cannot be read, or is damaged.
     pub(crate) fn read(directory: &Path) -> io::Result<Self> {
-        match regular::read_to_string(&directory.join(FILE)) {
-            Ok(text) => serde_json::from_str(&text).map_err(io::Error::other),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Self::default()),
-            Err(error) => Err(error),
-        }
+        let text = regular::if_there(regular::read_to_string(&directory.join(FILE)))?;
+        let Some(text) = text else { return Ok(Self::default()) };
+        serde_json::from_str(&text).map_err(io::Error::other)
     }
 
     /// Returns whether the run stands where a race has stopped it.

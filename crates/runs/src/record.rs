@@ -122,7 +122,7 @@ pub enum ResultCause {
 }
 
 /// What a finished run came to.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunResult {
     /// When, UTC.
     pub finished: String,

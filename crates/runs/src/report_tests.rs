@@ -49,15 +49,8 @@ fn a_report_says_which_setting_ended_the_run_and_where_it_stood() {
     let dir = tempfile::tempdir().unwrap();
     let ended = |name: &str, set: &[&str], end: ResultCause| {
         let mut run = begun(dir.path(), "cartpole", name, set);
-        run.record.result = Some(RunResult {
-            finished: String::new(),
-            end,
-            updates: 2,
-            steps: 200,
-            weights_sha256: String::new(),
-            reproducible: true,
-            books: Value::Null,
-        });
+        let (updates, steps) = (2, 200);
+        run.record.result = Some(RunResult { end, updates, steps, ..RunResult::default() });
         let line = json!({"update": 2, "held_out/success": 0.65, "held_out/error": 0.11, "held_out/episodes": 20});
         run.held_out = line.as_object().cloned().into_iter().collect();
         let page = report(&Tasks::new(), &[run], Findings::default(), "leadtime");

@@ -46,7 +46,7 @@ const TICK: Duration = Duration::from_millis(20);
 const FIRST_PAUSE: Duration = Duration::from_millis(200);
 
 /// What to start: the arguments after the program's name.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct ProcessPlan {
     /// Arguments of the learner.
     pub(crate) learner: Vec<OsString>,
@@ -344,15 +344,7 @@ mod tests {
     }
 
     fn plan(run: &Path) -> ProcessPlan {
-        ProcessPlan {
-            learner: Vec::new(),
-            actors: Vec::new(),
-            run: run.to_owned(),
-            n_updates: 10,
-            others_may_join: false,
-            learner_stdout: false,
-            stderr_log: None,
-        }
+        ProcessPlan { run: run.to_owned(), n_updates: 10, ..ProcessPlan::default() }
     }
 
     #[test]

@@ -61,7 +61,6 @@ pub(crate) fn write_evaluation(
     Ok(())
 }
 
-/// An open event file.
 #[derive(Debug)]
 pub(crate) struct EventFile<W = BufWriter<File>> {
     out: W,

@@ -110,11 +110,6 @@ impl LiveClient {
         &self.answer
     }
 
-    /// Returns the number of the newest observation.
-    pub fn seq(&self) -> u64 {
-        self.seq
-    }
-
     /// Returns the notifier's last status, JSON.
     pub fn status(&self) -> &str {
         &self.status

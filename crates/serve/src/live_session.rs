@@ -288,11 +288,6 @@ impl LiveSession {
         self.state
     }
 
-    /// Returns why nothing is said.
-    pub fn why(&self) -> &Silence {
-        &self.why
-    }
-
     /// Returns what has happened to the client's messages.
     pub fn counts(&self) -> LiveCounts {
         self.counts
@@ -311,11 +306,6 @@ impl LiveSession {
     /// Returns the step of the episode, from 0.
     pub fn step_of_episode(&self) -> u32 {
         self.step
-    }
-
-    /// Returns how long things have taken.
-    pub fn latency(&self) -> &LatencyHistogram {
-        &self.latency
     }
 
     /// Counts how long it took from what caused an event to the end of telling it, in nanoseconds.

@@ -245,7 +245,7 @@ fn a_client_that_is_gone_is_not_spoken_to_and_may_come_back() {
     bench.session.note_presence(false);
     bench.until(100);
     assert_eq!(bench.events().last(), Some(&SayEvent::Cut));
-    assert_eq!((bench.state(), bench.session.why()), (LiveState::Lost, &Silence::ClientGone));
+    assert_eq!((bench.state(), &bench.session.why), (LiveState::Lost, &Silence::ClientGone));
     bench.until(20_000);
     let n = bench.told.says.len();
     bench.observe();
@@ -576,6 +576,7 @@ fn a_question_is_checked_against_the_policy() {
         ),
         (with("words", json!("mine")), "`words` is mine; allowed: shipped"),
         (with("incarnation", json!("12")), "`incarnation` is 12; allowed: 16 hexadecimal digits"),
+        (with("seed", json!(-1)), "`seed` has to be a whole number from 0; it is -1"),
         (with("sed", json!(1)), "`sed` is not known; did you mean `seed`?"),
     ] {
         let sentence = refused(question);

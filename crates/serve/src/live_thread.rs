@@ -18,7 +18,6 @@ use crate::status::{LiveState, Silence};
 use crate::taken::{TakenInput, TakenLog};
 use crate::working_policy::LiveDecider;
 
-/// The most sessions of a thread.
 pub(crate) const SESSIONS_PER_THREAD: usize = 16;
 /// The most orders to a thread, and reports of it, that wait.
 const MAX_WAITING: usize = 256;
@@ -29,7 +28,6 @@ const LONGEST_SLEEP: Duration = Duration::from_secs(1);
 /// How often the state of every session is reported, in nanoseconds.
 const SNAPSHOT_EVERY: u64 = 1_000_000_000;
 
-/// What a thread is ordered to do.
 #[derive(Debug)]
 pub(crate) enum ThreadOrder {
     /// Speak for one more client.
@@ -40,7 +38,6 @@ pub(crate) enum ThreadOrder {
     Remove(ClientName),
 }
 
-/// What a thread reports.
 #[derive(Debug)]
 pub(crate) enum ThreadReport {
     /// The state of a session.
@@ -108,10 +105,6 @@ pub(crate) struct LiveThread {
 
 impl LiveThread {
     /// Starts a thread.
-    ///
-    /// # Errors
-    ///
-    /// If the system starts no further thread.
     pub(crate) fn start(
         name: String,
         decider: LiveDecider,

@@ -384,7 +384,6 @@ const RULES: [FieldRule; 6] = [
     FieldRule::optional("facts", "a list of names of facts", no_fact_list),
 ];
 
-/// Says which field is missing.
 fn missing(field: &str) -> BadObservation {
     let rule = RULES.iter().find(|rule| rule.name == field).unwrap_or(&RULES[0]);
     JsonFault::Missing { field: rule.name, expected: rule.expected }.into()

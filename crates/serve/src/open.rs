@@ -291,21 +291,6 @@ pub struct PolicyNote {
     pub updates: u64,
 }
 
-/// A fact, as a client reads of it.
-#[derive(Clone, Debug, Serialize)]
-pub struct FactNote {
-    /// Name of the fact, as observations state it.
-    pub name: &'static str,
-    /// When it holds, in words.
-    pub meaning: &'static str,
-}
-
-impl From<&Fact> for FactNote {
-    fn from(&Fact { name, meaning }: &Fact) -> Self {
-        Self { name, meaning }
-    }
-}
-
 /// What a recorder learns of a session: everything that is needed to open the same one again.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionNote {
@@ -363,7 +348,7 @@ pub struct SessionAnswer<'a> {
     pub topics: &'a [&'static str],
     /// The facts that an observation may state, with when each holds.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub facts: Vec<FactNote>,
+    pub facts: Vec<Fact>,
     /// When steps are taken.
     pub clock: StepClock,
     /// How long a step takes.
@@ -408,7 +393,7 @@ impl<'a> SessionAnswer<'a> {
             obs_dim: policy.obs_dim(),
             observation: observation.iter().map(ObservationName::from).collect(),
             topics: policy.session.topics(),
-            facts: facts.iter().map(FactNote::from).collect(),
+            facts: facts.to_vec(),
             clock: plan.clock,
             seconds_per_step: plan.seconds_per_step,
             stale_after: plan.stale_after,

@@ -48,32 +48,21 @@ pub enum EventKind {
 }
 
 impl EventKind {
-    /// Every kind, in the order of the variants.
-    pub(crate) const ALL: [Self; 9] = [
-        Self::About,
-        Self::History,
-        Self::Update,
-        Self::State,
-        Self::Actors,
-        Self::Flight,
-        Self::Frame,
-        Self::Log,
-        Self::Bye,
+    /// Every kind with its name on the wire, in the order of the variants.
+    const NAMED: [(Self, &'static str); 9] = [
+        (Self::About, "about"),
+        (Self::History, "history"),
+        (Self::Update, "update"),
+        (Self::State, "state"),
+        (Self::Actors, "actors"),
+        (Self::Flight, "flight"),
+        (Self::Frame, "frame"),
+        (Self::Log, "log"),
+        (Self::Bye, "bye"),
     ];
 
-    /// Returns its name on the wire.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::About => "about",
-            Self::History => "history",
-            Self::Update => "update",
-            Self::State => "state",
-            Self::Actors => "actors",
-            Self::Flight => "flight",
-            Self::Frame => "frame",
-            Self::Log => "log",
-            Self::Bye => "bye",
-        }
+    fn name(self) -> &'static str {
+        Self::NAMED[self as usize].1
     }
 }
 
@@ -89,12 +78,12 @@ impl Wanted {
     /// A sentence that lists the known kinds, if the list names an unknown one.
     pub(crate) fn parse(list: Option<&str>) -> Result<Self, String> {
         let Some(list) = list.filter(|list| !list.is_empty()) else {
-            return Ok(Self(EventKind::ALL.into()));
+            return Ok(Self(EventKind::NAMED.map(|(kind, _)| kind).into()));
         };
-        let kind = |name: &str| EventKind::ALL.into_iter().find(|kind| kind.name() == name);
-        let kinds = list.split(',').map(kind).collect::<Option<BTreeSet<_>>>();
+        let named = |name: &str| EventKind::NAMED.into_iter().find(|(_, own)| *own == name);
+        let kinds = list.split(',').map(|name| Some(named(name)?.0)).collect::<Option<_>>();
         kinds.map(Self).ok_or_else(|| {
-            let names = EventKind::ALL.map(EventKind::name).join(", ");
+            let names = EventKind::NAMED.map(|(_, name)| name).join(", ");
             format!("there is an event of another name in `only`; there are: {names}\n")
         })
     }

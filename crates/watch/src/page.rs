@@ -28,6 +28,7 @@ pub struct Page {
     shared: Mutex<SharedView>,
 }
 
+#[derive(Default)]
 struct SharedView {
     view: RunView,
     hub: EventHub,
@@ -50,16 +51,7 @@ impl fmt::Debug for Page {
 impl Page {
     /// Starts with an empty view of a run.
     pub fn new(run: &str, clock: Clock) -> Arc<Self> {
-        let shared = SharedView {
-            view: RunView::new(run),
-            hub: EventHub::default(),
-            due: Changes::default(),
-            history_told_at: None,
-            updates_told_at: None,
-            tables_told_at: None,
-            n_log_told: 0,
-            flight: None,
-        };
+        let shared = SharedView { view: RunView::new(run), ..SharedView::default() };
         Arc::new(Self { clock, epoch: (clock() * 1e3) as u64, shared: Mutex::new(shared) })
     }
 

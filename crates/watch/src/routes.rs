@@ -26,14 +26,6 @@ const STATE: &str = "/state.json";
 /// What the page's own file names are followed by, so that a changed program is not hidden by a browser's cache.
 const VERSION: &str = "?v=";
 
-/// One file of the page.
-#[derive(Clone, Copy, Debug)]
-struct Asset {
-    path: &'static str,
-    kind: &'static str,
-    bytes: &'static [u8],
-}
-
 const HTML: &str = "text/html; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 const STYLE: &str = "text/css; charset=utf-8";
@@ -41,37 +33,25 @@ const PLAIN: &str = "text/plain; charset=utf-8";
 
 const INDEX: &[u8] = include_bytes!("../assets/index.html");
 
-/// Every other file of the page.
-const ASSETS: [Asset; 6] = [
-    Asset { path: "/watch.js", kind: SCRIPT, bytes: include_bytes!("../assets/watch.js") },
-    Asset { path: "/icon.svg", kind: "image/svg+xml", bytes: include_bytes!("../assets/icon.svg") },
-    Asset { path: "/watch.css", kind: STYLE, bytes: include_bytes!("../assets/watch.css") },
-    Asset {
-        path: "/vendor/uPlot-1.6.32.min.js",
-        kind: SCRIPT,
-        bytes: include_bytes!("../assets/vendor/uPlot-1.6.32.min.js"),
-    },
-    Asset {
-        path: "/vendor/uPlot.css",
-        kind: STYLE,
-        bytes: include_bytes!("../assets/vendor/uPlot.css"),
-    },
-    Asset {
-        path: "/vendor/LICENSE",
-        kind: PLAIN,
-        bytes: include_bytes!("../assets/vendor/LICENSE"),
-    },
+/// Every other file of the page: its path, its kind, and its bytes.
+const ASSETS: [(&str, &str, &[u8]); 6] = [
+    ("/watch.js", SCRIPT, include_bytes!("../assets/watch.js")),
+    ("/icon.svg", "image/svg+xml", include_bytes!("../assets/icon.svg")),
+    ("/watch.css", STYLE, include_bytes!("../assets/watch.css")),
+    ("/vendor/uPlot-1.6.32.min.js", SCRIPT, include_bytes!("../assets/vendor/uPlot-1.6.32.min.js")),
+    ("/vendor/uPlot.css", STYLE, include_bytes!("../assets/vendor/uPlot.css")),
+    ("/vendor/LICENSE", PLAIN, include_bytes!("../assets/vendor/LICENSE")),
 ];
 
 /// Lists the paths that need no token: the page itself, which then asks with one.
 pub fn open_paths() -> impl Iterator<Item = &'static str> {
-    ["/"].into_iter().chain(ASSETS.iter().map(|asset| asset.path))
+    ["/"].into_iter().chain(ASSETS.iter().map(|(path, ..)| *path))
 }
 
 /// Serves a page, its files, its events, and the state as JSON.
 pub fn routes(page: Arc<Page>) -> Router {
     let mut router = Router::new();
-    let all = digest(&ASSETS.iter().flat_map(|asset| asset.bytes).copied().collect::<Vec<_>>());
+    let all = digest(&ASSETS.map(|(.., bytes)| bytes).concat());
     let index = String::from_utf8_lossy(INDEX).replace(VERSION, &format!("{VERSION}{all}"));
     let tag = digest(index.as_bytes());
     let index: Arc<str> = index.into();
@@ -83,13 +63,13 @@ pub fn routes(page: Arc<Page>) -> Router {
             async move { answer }
         }),
     );
-    for asset in ASSETS {
-        let tag = digest(asset.bytes);
+    for (path, kind, bytes) in ASSETS {
+        let tag = digest(bytes);
         let serve = move |headers: HeaderMap| {
-            let answer = file(&headers, asset.kind, &tag, "max-age=3600", asset.bytes.to_vec());
+            let answer = file(&headers, kind, &tag, "max-age=3600", bytes.to_vec());
             async move { answer }
         };
-        router = router.route(asset.path, get(serve));
+        router = router.route(path, get(serve));
     }
     router.route(EVENTS, get(events)).route(STATE, get(state)).with_state(page)
 }

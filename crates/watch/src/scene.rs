@@ -5,7 +5,7 @@
 //! ["text", "", [x, y], "steak"]
 //! ```
 
-use leadtime_sims::{Scene, Shape, Tone, View};
+use leadtime_sims::{Scene, Shape, View};
 use serde_json::{Value, json};
 
 /// Points per width of the view: finer than that nothing is seen.
@@ -40,25 +40,11 @@ impl SceneGrid {
 
     pub(crate) fn shape(self, shape: &Shape) -> Value {
         match shape {
-            Shape::Rectangle { min, max, tone } => {
-                json!(["rect", name(*tone), self.flat([min, max])])
-            }
-            Shape::Line { points, tone } => json!(["line", name(*tone), self.flat(points)]),
-            Shape::Polygon { points, tone } => json!(["poly", name(*tone), self.flat(points)]),
+            Shape::Rectangle { min, max, tone } => json!(["rect", tone, self.flat([min, max])]),
+            Shape::Line { points, tone } => json!(["line", tone, self.flat(points)]),
+            Shape::Polygon { points, tone } => json!(["poly", tone, self.flat(points)]),
             Shape::Label { at, text } => json!(["text", "", self.flat([at]), text]),
         }
-    }
-}
-
-fn name(tone: Tone) -> &'static str {
-    match tone {
-        Tone::Ground => "ground",
-        Tone::Goal => "goal",
-        Tone::Danger => "danger",
-        Tone::Mistaken => "mistaken",
-        Tone::Own => "own",
-        Tone::Other => "other",
-        Tone::Hint => "hint",
     }
 }
 
@@ -71,6 +57,8 @@ pub(crate) fn still(scenes: &[Scene]) -> Vec<&Shape> {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_sims::Tone;
+
     use super::*;
 
     fn square(x: f64, tone: Tone) -> Shape {

@@ -7,7 +7,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use leadtime_numerics::thin::ThinSeries;
 use leadtime_proto::text::quoted;
-use serde::Deserialize as _;
+use serde::{Deserialize as _, Serialize};
 use serde_json::{Map, Value, json};
 
 use crate::actors::{ActorTable, round};
@@ -47,8 +47,9 @@ const ELAPSED: &str = "elapsed";
 const NO_CURVES: [&str; 5] =
     ["books/", "episodes/finished", "train/samples", "system/queued", "held_out/"];
 
-/// How a run is, in a word.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// How a run is, in a word, which pages and scripts see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub(crate) enum RunPhase {
     /// Its learner has not been seen.
     Unknown,
@@ -66,22 +67,6 @@ pub(crate) enum RunPhase {
     Failed,
     /// The learner disappeared without announcing its end.
     Lost,
-}
-
-impl RunPhase {
-    /// Returns the name that pages and scripts see.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Unknown => "unknown",
-            Self::Gathering => "gathering",
-            Self::Training => "training",
-            Self::Stalled => "stalled",
-            Self::Finished => "finished",
-            Self::Stopped => "stopped",
-            Self::Failed => "failed",
-            Self::Lost => "lost",
-        }
-    }
 }
 
 /// One line of the log.
@@ -124,7 +109,7 @@ struct UpdateTimes {
 }
 
 /// A run as it is seen.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct RunView {
     run: String,
     about: Value,
@@ -165,36 +150,8 @@ pub struct RunView {
 impl RunView {
     /// Starts with a name.
     pub fn new(run: &str) -> Self {
-        Self {
-            run: run.to_owned(),
-            about: Value::Null,
-            series: ThinSeries::new(MAX_POINTS),
-            marks: VecDeque::new(),
-            generation: 0,
-            last: Map::new(),
-            last_at: None,
-            made: None,
-            started: None,
-            staleness: VecDeque::new(),
-            actors: ActorTable::default(),
-            window: VecDeque::new(),
-            learner: None,
-            previous: None,
-            first_told: None,
-            knows_history: false,
-            lost_at: None,
-            ended: None,
-            n_needed: None,
-            total_updates: 0,
-            checkpoint: 0,
-            version: 0,
-            refusals: BTreeSet::new(),
-            n_missed: 0,
-            n_skipped: 0,
-            log: VecDeque::new(),
-            n_logged: 0,
-            changes: Changes::default(),
-        }
+        let series = ThinSeries::new(MAX_POINTS);
+        Self { run: run.to_owned(), series, ..Self::default() }
     }
 
     /// Takes in what the run is.
@@ -481,7 +438,6 @@ impl RunView {
         std::mem::take(&mut self.changes)
     }
 
-    /// Returns the lines of the log after a number.
     pub(crate) fn log_after(&self, number: u64) -> impl Iterator<Item = &WatchLine> {
         self.log.iter().filter(move |line| line.number > number)
     }
@@ -496,7 +452,6 @@ impl RunView {
         update_of(&self.last)
     }
 
-    /// Returns whether a learner is there.
     pub(crate) fn has_learner(&self) -> bool {
         self.learner.is_some() && self.lost_at.is_none()
     }
@@ -575,7 +530,7 @@ impl RunView {
             "schema": SCHEMA,
             "run": self.run,
             "domain": self.about["domain"],
-            "state": phase.name(),
+            "state": phase,
             "sentence": self.sentence(now),
             "update": newest,
             "total_updates": self.total_updates,

@@ -61,7 +61,7 @@ impl WorkerLink {
         let shape = launch.check(&hello)?;
         Ok(Self {
             hello,
-            slots: (0..launch.batch).map(|_| WorkerSlot::new()).collect(),
+            slots: (0..launch.batch).map(|_| WorkerSlot::default()).collect(),
             launch,
             shape,
             process: Some(process),
@@ -104,7 +104,7 @@ impl WorkerLink {
     /// Reserves an environment for a caller; `None` if all are in use.
     pub(crate) fn reserve(&mut self) -> Option<usize> {
         let place = self.slots.iter().position(|slot| !slot.is_used)?;
-        self.slots[place] = WorkerSlot { is_used: true, ..WorkerSlot::new() };
+        self.slots[place] = WorkerSlot { is_used: true, ..WorkerSlot::default() };
         Some(place)
     }
 

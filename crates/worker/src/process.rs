@@ -32,7 +32,6 @@ const LOG_TARGET: &str = "leadtime::worker";
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Pause between two looks whether a worker has connected.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
-/// Lines that are kept.
 const KEPT_LINES: usize = 20;
 /// Lines that are logged in a second: a program that prints in every step is not to fill a disk, and one that fails is to be
 /// quoted whole.

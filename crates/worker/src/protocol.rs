@@ -358,11 +358,6 @@ impl<R: Read> FrameReader<R> {
         Self { source, buffer: Vec::new(), at: 0 }
     }
 
-    /// Returns the source that frames are read from.
-    pub fn source(&self) -> &R {
-        &self.source
-    }
-
     /// Reads frames up to the answer, which is of `kind` and has at most `most` bytes, and returns its body; hands
     /// everything else to `aside`.
     ///

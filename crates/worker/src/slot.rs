@@ -1,7 +1,6 @@
 //! One environment of a worker, as this process knows it: enough to put it back where it was in another worker.
 
 use leadtime_numerics::Purpose;
-use leadtime_proto::EnvId;
 use leadtime_proto::limits::MAX_MAGNITUDE;
 use leadtime_sims::EpisodeSeed;
 
@@ -11,9 +10,10 @@ use crate::protocol::StepRow;
 const SEED_BITS: u32 = 31;
 
 /// How far a step has come.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum StepProgress {
     /// None is under way.
+    #[default]
     Idle,
     /// Its action is known.
     Announced,
@@ -26,7 +26,7 @@ pub(crate) enum StepProgress {
 }
 
 /// An environment of a worker.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct WorkerSlot {
     /// It is reserved, and stepped by its holder.
     pub(crate) is_used: bool,
@@ -54,23 +54,6 @@ pub(crate) struct WorkerSlot {
 }
 
 impl WorkerSlot {
-    pub(crate) fn new() -> Self {
-        Self {
-            is_used: false,
-            is_begun: false,
-            seed: EpisodeSeed { run_seed: 0, env_id: EnvId(0), episode: 0 },
-            base: Vec::new(),
-            n_before: 0,
-            actions: Vec::new(),
-            action: Vec::new(),
-            row: StepRow::default(),
-            progress: StepProgress::Idle,
-            is_ahead: false,
-            exception: String::new(),
-            failure: None,
-        }
-    }
-
     /// Notes that an episode begins, from its seed.
     pub(crate) fn begin(&mut self, seed: EpisodeSeed) {
         self.seed = seed;
@@ -149,12 +132,13 @@ pub(crate) fn reset_seed(seed: EpisodeSeed) -> u32 {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::EnvId;
     use leadtime_sims::End;
 
     use super::*;
 
     fn slot() -> WorkerSlot {
-        let mut slot = WorkerSlot::new();
+        let mut slot = WorkerSlot::default();
         slot.begin(EpisodeSeed { run_seed: 1, env_id: EnvId(17), episode: 12 });
         slot.action = vec![1, 0];
         slot

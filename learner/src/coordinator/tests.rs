@@ -1,9 +1,7 @@
 //! Everything that can happen to a rollout, without a network.
 
 use leadtime_proto::header::Schema;
-use leadtime_proto::{
-    ActionSpec, EnvSpec, Iteration, PolicySpec, RunSpec, Schedule, TaskSpec, codec,
-};
+use leadtime_proto::{Iteration, Schedule, codec, fakes};
 
 use crate::stragglers::BACK_OFF;
 
@@ -11,36 +9,18 @@ use super::*;
 
 const WINDOW: u32 = 4;
 
-fn spec(schedule: Schedule) -> RunSpec {
-    let actions = ActionSpec::discrete("a", 2);
-    let env = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
-    RunSpec {
-        seed: 1,
-        task: TaskSpec { domain: "test".to_owned(), settings: String::new() },
-        policy: PolicySpec::dense(&env, &[8]),
-        env,
-        n_steps: 1,
-        schedule,
-    }
-}
-
 /// A run that begins when all of these actors are there, which they are.
 fn coordinator(n_envs: usize, schedule: Schedule, names: &[&str]) -> Coordinator {
     let settings = CoordinatorSettings {
         learner: Incarnation(99),
-        spec: spec(schedule),
+        spec: fakes::run_spec("test", 1, schedule),
         window: WINDOW,
         actors_min: names.len().max(1),
     };
     let mut builds = Builds::default();
     builds.note(&Build { program: "test".to_owned(), cpu: "cpu".to_owned() });
-    let start = CoordinatorStart {
-        places: RolloutQueue::beginning(n_envs),
-        epoch: Epoch(0),
-        version: PolicyVersion(0),
-        books: Books::default(),
-        builds,
-    };
+    let places = RolloutQueue::beginning(n_envs);
+    let start = CoordinatorStart { places, builds, ..CoordinatorStart::default() };
     let mut c = Coordinator::new(settings, start);
     for name in names {
         join(&mut c, name);
@@ -54,12 +34,9 @@ fn actor(name: &str) -> ActorId {
 
 fn hello(name: &str, published: u64, first_unacknowledged: u64) -> Hello {
     Hello {
-        program: "test".to_owned(),
-        actor: actor(name),
-        incarnation: Incarnation(1),
-        cpu: "cpu".to_owned(),
         published: Sequence(published),
         first_unacknowledged: Sequence(first_unacknowledged),
+        ..fakes::hello(actor(name), Incarnation(1))
     }
 }
 
@@ -79,19 +56,8 @@ fn answer(coordinator: &mut Coordinator, name: &str) {
 
 fn rollout(env_id: u32, iteration: u64, version: u64) -> Rollout {
     Rollout {
-        env_id: EnvId(env_id),
-        iteration: Iteration(iteration),
-        version: PolicyVersion(version),
-        n_steps: 1,
-        observations: vec![0.0],
-        next_observation: vec![0.0],
-        masks: vec![u64::MAX],
-        actions: vec![0],
-        log_probs: vec![0.0],
-        values: vec![0.0],
-        rewards: vec![0.0],
         snapshot: vec![iteration as u8],
-        ..Rollout::default()
+        ..fakes::rollout(EnvId(env_id), Iteration(iteration), PolicyVersion(version))
     }
 }
 
@@ -420,6 +386,7 @@ fn a_run_whose_members_answer_no_order_is_said_to_wait_for_actors() {
     assert_eq!((c.n_actors(), c.n_answering(), c.n_actors_needed()), (2, 1, None));
     assert_eq!(assignments(&mut c).into_iter().map(|(to, _)| to).collect::<Vec<_>>(), [actor("a")]);
     c.left(actor("a"), Incarnation(1));
+    assert!(matches!(events(&mut c)[..], [RunEvent::ActorLeft { n_actors: 1, n_envs: 2, .. }]));
     assert_eq!(c.n_actors_needed(), Some(1));
     let mut c = coordinator(1, Schedule::Async { staleness_max: 0 }, &["a"]);
     assert_eq!(c.window(), 2);

@@ -11,7 +11,7 @@ use crate::error::Error;
 const MAX_STEPS: u64 = 20_000;
 
 /// One episode, scene by scene.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Playthrough {
     /// Name that tables give the player.
     pub player: String,
