@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::net::TcpListener;
+use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
@@ -198,6 +199,14 @@ fn a_place_that_is_no_run_directory_is_named() {
     let novel = place.write("runs/r/novel.txt", "mine");
     refused(&place, &[&args], &["runs/r", "not a run directory"]);
     assert_eq!(fs::read_to_string(novel).unwrap(), "mine");
+    // On a disk that is not mounted.
+    let place = Place::new();
+    symlink("/nowhere/runs", place.file("runs")).unwrap();
+    let unwritable = "`run.directory` runs: nothing can be written there";
+    refused(&place, &["check -c cartpole"], &[unwritable]);
+    for command in ["runs", "runs prune --older 1d", &args] {
+        refused(&place, &[command], &["runs is a link to /nowhere/runs, and nothing is there"]);
+    }
 }
 
 #[test]

@@ -18,9 +18,10 @@ use std::time::Duration;
 use leadtime_config::identity;
 use serde::Serialize;
 
-use crate::layout::{CHECKPOINTS, LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
+use crate::contents::CHECKPOINTS;
+use crate::layout::{LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
 use crate::record::RECORD;
-use crate::{ListedRun, RunRecord, clock, journal};
+use crate::{ListedRun, RunRecord, clock, journal, regular};
 
 /// Files whose time says when something last happened in a run.
 const SIGNS: [&str; 3] = [RECORD, "metrics.jsonl", "eval.json"];
@@ -68,6 +69,9 @@ pub struct OldRun {
 /// If the directory cannot be read.
 pub fn old_runs(runs: &Path, rule: PruneRule) -> io::Result<Vec<OldRun>> {
     let mut all: Vec<(String, PathBuf)> = Vec::new();
+    if let Some(sentence) = regular::dead_link(runs) {
+        return Err(io::Error::new(io::ErrorKind::NotFound, sentence));
+    }
     for entry in fs::read_dir(runs)? {
         let entry = entry?;
         let name = entry.file_name().into_string();
