@@ -15,7 +15,7 @@ use leadtime_eval::measure::Choice;
 use leadtime_link::Endpoint;
 use leadtime_proto::ClientName;
 use leadtime_runs::tasks::ConfigureError;
-use leadtime_runs::{Tasks, evaluation};
+use leadtime_runs::{Tasks, check_place, evaluation};
 use leadtime_studies::{EPISODES, EVAL_SEED};
 
 use crate::exit::EXIT_CODE_HELP;
@@ -266,12 +266,19 @@ impl RunChoice {
     ///
     /// # Errors
     ///
-    /// A sentence about a key that is changed twice or cannot change, or what [`SourceArgs::load`] says.
+    /// A sentence about a key that is changed twice or cannot change, about the configuration of a run that was moved, or what
+    /// [`SourceArgs::load`] says.
     pub(crate) fn load(&self, tasks: &Tasks, source: &SourceArgs) -> anyhow::Result<Config> {
         changes::check_given_once(&self.change)?;
         // First: it knows which key was meant by an unknown one.
         let config = source.changed(&self.change).load(tasks, self.name.as_deref())?;
         changes::check_changeable(&self.change)?;
+        if let Some(file) = &source.config {
+            let is_set = |key: &str| source.set.iter().any(|change| change.key() == key);
+            let is_named = self.name.is_some() || is_set("run.name");
+            let is_placed = source.runs.is_some() || is_set("run.directory");
+            check_place(file, &config, is_named, is_placed)?;
+        }
         Ok(config)
     }
 }

@@ -163,6 +163,10 @@ pub(crate) fn next(policy: &Path, hints: &[Hint]) {
 pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[OsString]) {
     let (n_updates, config) = (journal::last_update(run), run.join("config.toml"));
     let mut args = vec![command.into(), "-c".into(), config.into(), "--name".into(), name.into()];
+    // A configuration is text, and cannot say in which directory this one lies.
+    if let Some(runs) = run.parent().filter(|runs| runs.to_str().is_none()) {
+        args.extend([OsString::from("--runs"), runs.into()]);
+    }
     args.extend(options.iter().cloned());
     note(&format!("\nTo go on from update {n_updates}:\n  {}", self::command(args)));
 }

@@ -1,7 +1,10 @@
 //! Wrong input through the program itself: one sentence with cause and remedy, a documented exit code, nothing lost.
 
+use std::ffi::OsStr;
 use std::fs;
 use std::net::TcpListener;
+use std::os::unix::ffi::OsStrExt as _;
+use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
@@ -194,6 +197,14 @@ fn a_place_that_is_no_run_directory_is_named() {
     let novel = place.write("runs/r/novel.txt", "mine");
     refused(&place, &[&args], &["runs/r", "not a run directory"]);
     assert_eq!(fs::read_to_string(novel).unwrap(), "mine");
+    // On a disk that is not mounted.
+    let place = Place::new();
+    symlink("/nowhere/runs", place.file("runs")).unwrap();
+    let unwritable = "`run.directory` runs: nothing can be written there";
+    refused(&place, &["check -c cartpole"], &[unwritable]);
+    for command in ["runs", "runs prune --older 1d", &args] {
+        refused(&place, &[command], &["runs is a link to /nowhere/runs, and nothing is there"]);
+    }
 }
 
 #[test]
@@ -402,4 +413,13 @@ fn a_path_is_no_order_to_the_terminal() {
     list.arg(&runs);
     let list = place.start_with(list).finish(PATIENCE).with_code(0).json();
     assert_eq!(list[0]["state"], "finished", "{list}");
+}
+
+#[test]
+fn a_run_in_a_directory_that_is_no_text_can_be_taken_up_as_it_is_told() {
+    let place = Place::new();
+    let mut up = place.program(&["up --name r --actors 1", SMALL, "--stop-after 4 --runs"]);
+    up.arg(OsStr::from_bytes(b"runs\xff"));
+    let told = place.start_with(up).finish(PATIENCE).with_code(0);
+    told.saying(&["-c $'runs\\377/r/config.toml' --name r --runs $'runs\\377' --actors 1"]);
 }

@@ -1,6 +1,8 @@
 //! What people ask of a long run: to stop, to go on with other settings, and to hand its metrics on.
 
+use std::collections::BTreeSet;
 use std::fs;
+use std::process::Command;
 
 use serde_json::Value;
 
@@ -53,6 +55,28 @@ fn what_cannot_change_is_refused_before_anything_is_made() {
     place.finish(&[&nameless, "--change learner.clip=0.1"]).with_code(2).saying(&["--name"]);
     place.finish(&[TRAIN, "--stop-after soon"]).with_code(2).saying(&["1e6steps", "2h"]);
     assert!(!place.run("r").exists());
+}
+
+#[test]
+fn a_copy_of_a_run_is_a_run_of_its_own() {
+    let place = Place::new();
+    place.finish(&[TRAIN, "--stop-after 8"]).with_code(0);
+    let copied = Command::new("cp").arg("-a").args([place.run("r"), place.run("copy")]).status();
+    assert!(copied.unwrap().success());
+    let before = fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap();
+    let on = "up -c runs/copy/config.toml --actors 1 --stop-after 12";
+    let refused = place.finish(&[on]).with_code(2);
+    refused.saying(&["leads to runs/r: ", "by --runs runs --name copy,"]);
+    let gone_on = place.finish(&[on, "--runs runs --name copy"]).with_code(0);
+    // What the next command is takes up the copy, too.
+    gone_on.saying(&["To go on from update 12", "-c runs/copy/config.toml --name copy --actors 1"]);
+    assert_eq!(fs::read_to_string(place.run("r").join("metrics.jsonl")).unwrap(), before);
+    let listed = place.finish(&["runs --json"]).with_code(0).json();
+    let names: BTreeSet<&str> =
+        listed.as_array().unwrap().iter().map(|run| run["name"].as_str().unwrap()).collect();
+    assert_eq!(names, BTreeSet::from(["copy", "r"]));
+    let pruned = place.finish(&["runs prune --older 1d --runs nothing"]).with_code(0);
+    pruned.saying(&["there are no runs in nothing"]);
 }
 
 #[test]

@@ -353,6 +353,8 @@ fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {
     ensure(patience >= 1, "run.checkpoint_patience", patience, "at least 1 second")?;
     within("run.keep.newest", run.keep.newest, 1, MAX_KEPT)?;
     ensure(!run.directory.is_empty(), "run.directory", "empty", "a path")?;
+    let directory = &run.directory;
+    ensure(!directory.contains('\0'), "run.directory", quoted(directory), "a path without NUL")?;
     let name = (!run.name.is_empty()).then(|| RunName::new(&run.name)).transpose();
     Ok(RunSettings {
         name: name.map_err(|error| ConfigError::of(error).at("`run.name`"))?,

@@ -518,6 +518,9 @@ fn a_directory_of_runs_need_not_be_text() {
     assert_eq!(config.run.directory, directory);
     let changed = config.with([Layer::text("", "seed = 2")], &registry).unwrap();
     assert_eq!((changed.seed, changed.run.directory), (2, directory));
+    let nul = ConfigSource { runs: Some("a\0b".into()), ..ConfigSource::default() };
+    let error = Config::load(&nul, &Catalog::built_in(), &registry).unwrap_err().to_string();
+    assert!(error.contains("allowed: a path without NUL"), "{error}");
 }
 
 #[test]

@@ -49,12 +49,12 @@ pub struct LearnerLink {
     is_dead: Arc<AtomicBool>,
     n_orders: AtomicU64,
     upkeep: tokio::task::JoinHandle<()>,
-    place: Arc<LearnerPlace>,
+    place: Arc<LearnerSite>,
 }
 
 /// What a learner takes and answers, and the session on which it does, whose place another one can take.
 #[derive(Debug)]
-struct LearnerPlace {
+struct LearnerSite {
     run: RunName,
     domain: DomainName,
     incarnation: Incarnation,
@@ -104,7 +104,7 @@ impl LearnerLink {
         }
         let locators = session.now().info().locators().await;
         let (intake, events) = RolloutIntake::new(settings, start.clone());
-        let place = LearnerPlace {
+        let place = LearnerSite {
             run: run.clone(),
             domain,
             incarnation,
@@ -259,7 +259,7 @@ impl LearnerLink {
     ///
     /// [`Error::Network`] if they cannot be sent.
     pub fn publish_metrics(&self, json: &[u8]) -> Result<()> {
-        let LearnerPlace { run, incarnation, session, .. } = &*self.place;
+        let LearnerSite { run, incarnation, session, .. } = &*self.place;
         put_metrics(&session.now(), run, &Member::Learner, *incarnation, json)
     }
 
@@ -299,7 +299,7 @@ impl Drop for LearnerLink {
     }
 }
 
-impl LearnerPlace {
+impl LearnerSite {
     /// Declares on a session everything that a learner needs.
     fn declare(&self, session: &Session) -> Result<LearnerDeclarations> {
         let (run, domain) = (&self.run, &self.domain);
@@ -391,7 +391,7 @@ async fn check_alone(session: &Session, run: &RunName, settings: &ListenSettings
 
 /// Once a second, for as long as the link lives: checks the session, repeats the announcement, and reports other learners. Every few
 /// seconds it replaces a connection that leads nowhere, here and not beside, where the old one would be found dead.
-async fn upkeep(place: Weak<LearnerPlace>, listens: bool, is_dead: Arc<AtomicBool>) {
+async fn upkeep(place: Weak<LearnerSite>, listens: bool, is_dead: Arc<AtomicBool>) {
     let mut ticks = interval(weights::REPEAT);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut looked_at = Instant::now();

@@ -5,11 +5,13 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
-use std::os::unix::fs::MetadataExt as _;
+use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use rustix::fs::{OFlags, fcntl_setfl};
+use rustix::io::Errno;
 use tokio::signal::unix::{SignalKind, signal};
 
 /// How often it is looked whether the file is still the one that its name says.
@@ -68,7 +70,18 @@ impl LogFile {
 }
 
 fn append_to(path: &Path) -> io::Result<File> {
-    OpenOptions::new().create(true).append(true).open(path)
+    let mut options = OpenOptions::new();
+    // A pipe that nobody reads would keep the whole program waiting.
+    options.create(true).append(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed());
+    let file = options.open(path).map_err(|error| {
+        let is_pipe = fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo());
+        if is_pipe && error.raw_os_error() == Some(Errno::NXIO.raw_os_error()) {
+            return io::Error::new(error.kind(), "it is a pipe that nobody reads");
+        }
+        error
+    })?;
+    fcntl_setfl(&file, OFlags::APPEND)?;
+    Ok(file)
 }
 
 /// Sends the log of this process to a file from now on.
@@ -101,6 +114,9 @@ pub(crate) fn reopen_on_hangup() -> io::Result<bool> {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Read as _;
+    use std::process::Command;
+
     use super::*;
 
     #[test]
@@ -120,5 +136,19 @@ mod tests {
         log.write(b"four\n");
         assert_eq!(fs::read_to_string(&path).unwrap(), "four\n");
         assert!(LogFile::open(&directory.path().join("no/log")).is_err());
+    }
+    #[test]
+    fn a_pipe_that_nobody_reads_is_refused_and_one_that_is_read_gets_the_lines() {
+        let directory = tempfile::tempdir().unwrap();
+        let pipe = directory.path().join("pipe");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let error = LogFile::open(&pipe).unwrap_err().to_string();
+        assert_eq!(error, "it is a pipe that nobody reads");
+        // For both ends, so that nobody waits here either.
+        let mut reader = File::options().read(true).write(true).open(&pipe).unwrap();
+        LogFile::open(&pipe).unwrap().write(b"one\n");
+        let mut line = [0; 4];
+        reader.read_exact(&mut line).unwrap();
+        assert_eq!(&line, b"one\n");
     }
 }

@@ -31,11 +31,12 @@ use leadtime_learner::write_atomically;
 use leadtime_proto::{RunName, hex};
 use toml::Table;
 
+use crate::contents::{CHECKPOINTS, checkpoints};
 use crate::directory_error::RunDirError;
 use crate::held_out::HELD_OUT;
 use crate::layout::{
-    CHECKPOINTS, LOCK, RunState, SUPERVISED, SUPERVISOR_LOCK, TrainingTraces, checkpoints, compare,
-    is_begun, lock, read_config, read_record, write_config,
+    LOCK, RunState, SUPERVISED, SUPERVISOR_LOCK, TrainingTraces, compare, is_begun, lock,
+    make_directory, read_config, read_record, write_config,
 };
 use crate::naming::{make_new, unfinished};
 use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
@@ -120,7 +121,7 @@ impl RunDir {
         // Before anything is made in somebody else's directory; it counts only once the lock is held.
         is_begun(&path)?;
         let io = |source| RunDirError::Io { path: path.clone(), source };
-        fs::create_dir_all(path.join(CHECKPOINTS)).map_err(io)?;
+        make_directory(&path.join(CHECKPOINTS))?;
         let lock = lock(&path, LOCK, name)?;
         let mut kept = None;
         if is_begun(&path)? {
@@ -141,6 +142,8 @@ impl RunDir {
                 }
                 if state == RunState::Unfinished {
                     record.changes.extend(changed(&before, changes, allowed, trained.n_saved));
+                    // Somebody may have renamed or copied its directory.
+                    name.as_str().clone_into(&mut record.name);
                     trained.forget_lost_updates(&path).map_err(io)?;
                     record.taken_up_by(build, trained.has_checkpoints);
                     record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;

@@ -3,11 +3,12 @@ use crate::ResultCause;
 use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
-use crate::naming::{Naming, Reservation};
+use crate::naming::{Naming, Reservation, check_place};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
+use std::os::unix::fs::symlink;
 
 fn config(runs: &Path, name: Option<&str>, set: &[&str]) -> Config {
     let catalog = Catalog::built_in();
@@ -264,6 +265,11 @@ fn a_damaged_file_is_named_with_what_helps() {
         let text = says().to_string();
         assert!(text.contains(fault) && text.ends_with(helps), "{text}");
     }
+    fs::remove_file(path.join("config.toml")).unwrap();
+    let read = read_config(&path).unwrap_err();
+    for text in [says().to_string(), read.to_string()] {
+        assert!(text.contains("has no config.toml any more") && text.ends_with(helps), "{text}");
+    }
     fs::write(path.join("config.toml"), whole).unwrap();
     fs::remove_file(path.join("lock")).unwrap();
     fs::create_dir(path.join("lock")).unwrap();
@@ -274,6 +280,79 @@ fn a_damaged_file_is_named_with_what_helps() {
     fs::create_dir(path.join("metrics.jsonl")).unwrap();
     let text = with_causes(&says());
     assert!(text.ends_with("r cannot be used: metrics.jsonl is not a file"), "{text}");
+}
+
+#[test]
+fn what_is_in_the_way_of_a_directory_is_named_and_a_link_says_where_it_leads() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("r"), &[]);
+    let says = |name: &str| with_causes(&open(runs.path(), Some(name), &[]).unwrap_err());
+    let folder = runs.path().join("r/checkpoints");
+    fs::rename(&folder, runs.path().join("away")).unwrap();
+    // A disk that is not mounted.
+    symlink("/nowhere/scratch", &folder).unwrap();
+    let dead = "r/checkpoints cannot be used: checkpoints is a link to /nowhere/scratch, and nothing is there";
+    assert!(says("r").ends_with(dead), "{}", says("r"));
+    fs::remove_file(&folder).unwrap();
+    fs::write(&folder, "").unwrap();
+    let other = "r/checkpoints cannot be used: it is not a directory";
+    assert!(says("r").ends_with(other), "{}", says("r"));
+    symlink("/nowhere/s", runs.path().join("s")).unwrap();
+    let dead = "s cannot be used: s is a link to /nowhere/s, and nothing is there";
+    assert!(says("s").ends_with(dead), "{}", says("s"));
+    symlink("/nowhere/runs", runs.path().join("runs")).unwrap();
+    let listed = crate::ListedRun::all(&runs.path().join("runs")).unwrap_err().to_string();
+    assert_eq!(listed, "runs is a link to /nowhere/runs, and nothing is there");
+}
+
+#[test]
+fn a_run_that_was_renamed_goes_on_under_its_new_name() {
+    let runs = tempfile::tempdir().unwrap();
+    begun(runs.path(), Some("old"), &[]);
+    fs::rename(runs.path().join("old"), runs.path().join("new")).unwrap();
+    let (run, state) = open(runs.path(), Some("new"), &[]).unwrap();
+    assert_eq!((state, run.record.name.as_str()), (RunState::Unfinished, "new"));
+    assert_eq!(RunRecord::read(&run.path).unwrap().name, "new");
+}
+
+#[test]
+fn the_configuration_of_a_run_leads_to_that_run_or_is_refused() {
+    let place = tempfile::tempdir().unwrap();
+    let runs = place.path().join("runs");
+    begun(&runs, Some("r"), &[]);
+    let wanted = config(&runs, Some("r"), &[]);
+    let check = |directory: &Path, is_named: bool, is_placed: bool| {
+        let file = directory.join("config.toml");
+        check_place(&file, &wanted, is_named, is_placed).map_err(|error| error.to_string())
+    };
+    let copy = |to: &str| {
+        let directory = place.path().join(to);
+        fs::create_dir_all(&directory).unwrap();
+        for file in ["config.toml", "run.json"] {
+            fs::copy(runs.join("r").join(file), directory.join(file)).unwrap();
+        }
+        directory
+    };
+    assert_eq!(check(&runs.join("r"), false, false), Ok(()));
+    symlink(&runs, place.path().join("link")).unwrap();
+    assert_eq!(check(&place.path().join("link/r"), false, false), Ok(()));
+    let (renamed, moved) = (copy("away/copy"), copy("backup/r"));
+    let text = check(&renamed, false, false).unwrap_err();
+    let away = place.path().join("away");
+    let go_on = format!("go on with the one there by --runs {} --name copy,", away.display());
+    assert!(text.contains(&go_on), "{text}");
+    assert!(text.contains(&format!("leads to {}: ", runs.join("r").display())), "{text}");
+    // It is said that another run is meant, or where the run lies.
+    assert_eq!(check(&renamed, true, false), Ok(()));
+    assert_eq!(check(&moved, false, true), Ok(()));
+    // The name alone says neither.
+    let text = check(&moved, true, false).unwrap_err();
+    assert!(text.contains("--name r,"), "{text}");
+    let nameless = check(&copy("away/My Run"), false, false).unwrap_err();
+    assert!(nameless.contains("a name of a-z"), "{nameless}");
+    // A configuration of one's own that has the name of a run's.
+    fs::remove_file(renamed.join("run.json")).unwrap();
+    assert_eq!(check(&renamed, false, false), Ok(()));
 }
 
 #[test]

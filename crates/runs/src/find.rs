@@ -6,6 +6,8 @@ use std::path::{Path, PathBuf};
 use leadtime_proto::phrase::did_you_mean;
 use leadtime_proto::text::quoted;
 
+use crate::RunRecord;
+use crate::contents::is_run;
 use crate::directory_error::RunDirError;
 use crate::record::RECORD;
 
@@ -16,12 +18,23 @@ use crate::record::RECORD;
 /// [`RunDirError`] if there is none; a run of a similar name is named.
 pub fn find_run(runs: &Path, name: &Path) -> Result<PathBuf, RunDirError> {
     let candidates = [name.to_owned(), runs.join(name)];
-    let found = candidates.into_iter().find(|path| path.join(RECORD).exists());
-    found.ok_or_else(|| {
+    let whole = candidates.iter().find(|path| path.join(RECORD).exists());
+    // One that has lost its record is a run all the same, and whoever reads it says what is missing.
+    let found = whole.or_else(|| candidates.iter().find(|path| is_run(path)));
+    found.cloned().ok_or_else(|| {
         let meant = did_you_mean_run(runs, name);
         let (name, runs) = (quoted(&name.to_string_lossy()), runs.display());
         RunDirError::Refused(format!("there is no run `{name}` in {runs}{meant}"))
     })
+}
+
+/// Returns the name by which a run is found where it lies: that of its directory, which somebody may have renamed or
+/// copied since the record was written; the one on record where the directory's is no text.
+pub fn name_in_place(directory: &Path, record: &RunRecord) -> String {
+    let named = |path: &Path| path.file_name()?.to_str().map(str::to_owned);
+    // Such as `.`.
+    let name = named(directory).or_else(|| named(&directory.canonicalize().ok()?));
+    name.unwrap_or_else(|| record.name.clone())
 }
 
 /// Asks whether another run was meant: one with a similar name; nothing if there is none.
@@ -33,4 +46,38 @@ pub(crate) fn did_you_mean_run(runs: &Path, name: &Path) -> String {
     let name = name.to_str().unwrap_or_default();
     // A directory of that very name is no run, or it would have been found.
     did_you_mean(name, names.iter().map(String::as_str).filter(|other| *other != name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ProgramBuild;
+
+    #[test]
+    fn a_directory_that_was_renamed_is_a_run_of_its_new_name() {
+        let runs = tempfile::tempdir().unwrap();
+        let record = RunRecord::begin("old", "cartpole", 1, &ProgramBuild::default());
+        assert_eq!(name_in_place(&runs.path().join("new"), &record), "new");
+        assert_eq!(name_in_place(Path::new("/"), &record), "old");
+        fs::create_dir_all(runs.path().join("new/checkpoints")).unwrap();
+        let nameless = runs.path().join("new/checkpoints/..");
+        assert_eq!(name_in_place(&nameless, &record), "new");
+    }
+
+    #[test]
+    fn a_run_that_has_lost_its_record_is_found_after_one_that_has_it() {
+        let place = tempfile::tempdir().unwrap();
+        let (runs, here) = (place.path().join("runs"), place.path().join("r"));
+        let there = runs.join("r");
+        for directory in [&here, &there] {
+            fs::create_dir_all(directory).unwrap();
+            fs::write(directory.join("config.toml"), "").unwrap();
+        }
+        assert_eq!(find_run(&runs, Path::new("r")).unwrap(), there);
+        assert_eq!(find_run(&runs, &here).unwrap(), here);
+        fs::write(here.join(RECORD), "{}").unwrap();
+        assert_eq!(find_run(&runs, &here).unwrap(), here);
+        let missing = find_run(&runs, Path::new("s")).unwrap_err().to_string();
+        assert!(missing.starts_with("there is no run `s`"), "{missing}");
+    }
 }

@@ -26,7 +26,7 @@ impl Journal {
     /// Opens the journal of a run directory for appending.
     pub(crate) fn open(run_directory: &Path) -> io::Result<Self> {
         let path = run_directory.join("metrics.jsonl");
-        if path.exists() {
+        if path.symlink_metadata().is_ok() {
             regular::check(&path)?;
         }
         let file = OpenOptions::new().create(true).append(true).open(&path)?;
@@ -129,5 +129,14 @@ mod tests {
         append(&mut journal, 4);
         let lines = read(dir.path()).unwrap();
         assert!(lines.iter().map(|line| line["update"].as_u64().unwrap()).eq(1..=4), "{lines:?}");
+    }
+
+    #[test]
+    fn a_journal_that_leads_nowhere_says_where() {
+        let dir = tempfile::tempdir().unwrap();
+        std::os::unix::fs::symlink("/nowhere/m", dir.path().join("metrics.jsonl")).unwrap();
+        let error = Journal::open(dir.path()).unwrap_err().to_string();
+        assert_eq!(error, "metrics.jsonl is a link to /nowhere/m, and nothing is there");
+        assert_eq!(last_update(dir.path()), 0, "for whoever only looks it is not there");
     }
 }

@@ -10,14 +10,13 @@ use leadtime_learner::{replaced_name, write_atomically};
 use leadtime_proto::RunName;
 use toml::Table;
 
+use crate::contents::{CHECKPOINTS, CONFIG, checkpoints, is_run};
 use crate::directory_error::{RunDirError, with_causes};
 use crate::journal::Journal;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD, RecordError};
 use crate::{ResultCause, RunRecord, RunResult, journal, regular};
 
-/// The configuration's file in a run directory.
-pub(crate) const CONFIG: &str = "config.toml";
 /// The file that its learner locks.
 pub(crate) const LOCK: &str = "lock";
 /// The file that its supervisor locks.
@@ -26,8 +25,6 @@ pub(crate) const SUPERVISOR_LOCK: &str = "supervisor.lock";
 pub(crate) const SUPERVISED: &[u8] = b"supervised\n";
 /// How the name of a directory begins that is being removed.
 pub(crate) const REMOVED: &str = ".removed-";
-/// The folder of its checkpoints.
-pub(crate) const CHECKPOINTS: &str = "checkpoints";
 /// What a start that was killed may leave in a directory that has no configuration yet.
 const BEGINNINGS: [&str; 6] = [LOCK, SUPERVISOR_LOCK, INITIAL_POLICY, CHECKPOINTS, RECORD, CONFIG];
 
@@ -56,6 +53,9 @@ pub(crate) fn is_begun(path: &Path) -> Result<bool, RunDirError> {
         let name = name.to_str().unwrap_or_default();
         let is_ours = BEGINNINGS.contains(&replaced_name(name).unwrap_or(name));
         if !is_ours || (name == CHECKPOINTS && !checkpoints(path).map_err(io)?.is_empty()) {
+            if path.join(RECORD).exists() {
+                return Err(no_config(path));
+            }
             return Err(no_run(path, "it holds other files and no config.toml"));
         }
     }
@@ -143,16 +143,6 @@ fn has_lost_policies(path: &Path, has_checkpoints: bool) -> bool {
     if has_checkpoints { last || best } else { last && best }
 }
 
-/// Lists the checkpoints of a run directory; none if it has no folder for them.
-pub(crate) fn checkpoints(path: &Path) -> io::Result<Vec<PathBuf>> {
-    let Some(entries) = regular::if_there(fs::read_dir(path.join(CHECKPOINTS)))? else {
-        return Ok(Vec::new());
-    };
-    let files = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>()?;
-    let is_checkpoint = |file: &PathBuf| file.extension().is_some_and(|e| e == "checkpoint");
-    Ok(files.into_iter().filter(is_checkpoint).collect())
-}
-
 /// Decides whether a run may go on under the requested configuration; the `allowed` keys may have changed.
 pub(crate) fn compare(
     record: &RunRecord,
@@ -187,10 +177,23 @@ pub(crate) fn compare(
     Ok(if is_over { RunState::Finished } else { RunState::Unfinished })
 }
 
+/// Makes a directory with those above it, unless it is there; what is in the way is named.
+pub(crate) fn make_directory(path: &Path) -> Result<(), RunDirError> {
+    fs::create_dir_all(path).map_err(|source| {
+        let is_in_the_way = |at: &&Path| at.symlink_metadata().is_ok() && !at.is_dir();
+        let Some(at) = path.ancestors().find(is_in_the_way) else {
+            return RunDirError::Io { path: path.to_owned(), source };
+        };
+        let sentence = regular::dead_link(at);
+        let sentence = sentence.unwrap_or_else(|| "it is not a directory".to_owned());
+        RunDirError::Io { path: at.to_owned(), source: io::Error::new(source.kind(), sentence) }
+    })
+}
+
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
     let path = path.join(file);
     let io = |source| RunDirError::Io { path: path.clone(), source };
-    if path.exists() {
+    if path.symlink_metadata().is_ok() {
         regular::check(&path).map_err(io)?;
     }
     // What its holder has written stays until the lock is ours.
@@ -229,11 +232,6 @@ pub(crate) fn read_record(path: &Path) -> Result<RunRecord, RunDirError> {
     })
 }
 
-/// Tells whether a directory is a run's, even if a file in it cannot be read.
-pub(crate) fn is_run(path: &Path) -> bool {
-    [RECORD, CONFIG].iter().any(|file| path.join(file).exists())
-}
-
 /// Tells whether a directory is what a removal that was killed has left of a run.
 pub(crate) fn is_left(name: &str) -> bool {
     name.starts_with(REMOVED)
@@ -252,6 +250,11 @@ fn damaged(path: &Path, what: &str) -> RunDirError {
     ))
 }
 
+/// Says that a run has lost its configuration, and what helps.
+fn no_config(path: &Path) -> RunDirError {
+    damaged(path, &format!("the run in {} has no {CONFIG} any more", path.display()))
+}
+
 /// Reads the configuration that a run was last carried out with.
 ///
 /// # Errors
@@ -265,6 +268,7 @@ pub fn read_config(path: &Path) -> Result<Table, RunDirError> {
         Err(error) if error.kind() == io::ErrorKind::InvalidData => {
             return Err(not_one("is not a configuration: it is no text in UTF-8"));
         }
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(no_config(path)),
         text => text.map_err(io)?,
     };
     if text.trim().is_empty() {

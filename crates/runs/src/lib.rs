@@ -1,7 +1,7 @@
 //! A run on the disk and as processes.
 //!
 //! ```text
-//! directory    locking, resuming, refusing; on naming and layout      build           which program computed it
+//! directory    locking, resuming, refusing; on naming, layout, contents    build       which program computed it
 //! record       run.json                                 clock           the only reader of the wall clock
 //! recorder     what the learner reports, written down by journal (metrics.jsonl), tensorboard and policy_file
 //! held_out     evaluations while it trains (held_out.jsonl)            history         what observers receive
@@ -24,6 +24,7 @@
 pub mod build;
 pub mod clock;
 mod command_line;
+mod contents;
 pub mod digest;
 mod directory;
 mod directory_error;
@@ -61,12 +62,12 @@ pub use command_line::{command_line, program_name, shell_argument};
 pub use directory::RunDir;
 pub use directory_error::RunDirError;
 pub use evaluation_record::{EvaluationRecord, LAST_EVALUATION};
-pub use find::find_run;
+pub use find::{find_run, name_in_place};
 pub use layout::RunState;
 pub use leadtime_learner::write_atomically;
 pub use learner_config::learner_config;
 pub use listing::ListedRun;
-pub use naming::Naming;
+pub use naming::{Naming, check_place};
 pub use own_files::{REPORT_PAGE, run_that_keeps};
 pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
 pub use record::{ForkOrigin, ResultCause, RunRecord, RunResult, SettingChange};

@@ -7,11 +7,12 @@ use leadtime_table::Table;
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::contents::is_run;
 use crate::directory_error::with_causes;
-use crate::layout::{is_left, is_run};
+use crate::layout::is_left;
 use crate::race::RacerRecord;
 use crate::record::RecordError;
-use crate::{ForkOrigin, RunRecord, held_out, journal};
+use crate::{ForkOrigin, RunRecord, held_out, journal, name_in_place, regular};
 
 /// The columns of the list, and the main ones, which a terminal has room for.
 const HEAD: &str =
@@ -26,7 +27,7 @@ const DIGEST_DIGITS: usize = 12;
 /// A run as it is listed.
 #[derive(Debug, Default, Serialize)]
 pub struct ListedRun {
-    /// As its record has it; where that cannot be read, its directory's.
+    /// Its directory's, by which it is found.
     pub name: String,
     /// What it trains on.
     pub domain: String,
@@ -63,6 +64,9 @@ impl ListedRun {
     /// If the directory cannot be read.
     pub fn all(runs: &Path) -> io::Result<Vec<Self>> {
         let mut rows = Vec::new();
+        if let Some(sentence) = regular::dead_link(runs) {
+            return Err(io::Error::new(io::ErrorKind::NotFound, sentence));
+        }
         if runs.exists() {
             let entries = fs::read_dir(runs)?.filter_map(Result::ok);
             rows.extend(entries.filter_map(|entry| row(&entry.path())));
@@ -127,7 +131,7 @@ impl ListedRun {
         };
         let held_out = |key: &str| best.get(key).and_then(Value::as_f64);
         Self {
-            name: record.name,
+            name: name_in_place(path, &record),
             domain: record.domain,
             state,
             reproducible,

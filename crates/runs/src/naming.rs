@@ -2,16 +2,19 @@
 
 use std::fs::{self, File};
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_proto::RunName;
 
+use crate::command_line::shell_argument;
+use crate::contents::CONFIG;
 use crate::directory_error::RunDirError;
 use crate::layout::{
     LOCK, RunState, SUPERVISOR_LOCK, TrainingTraces, compare, is_begun, lock, lock_for_supervisor,
-    read_config,
+    make_directory, read_config,
 };
+use crate::record::RECORD;
 use crate::{RunRecord, clock};
 
 /// Which run a start is about.
@@ -53,8 +56,7 @@ impl Reservation {
     fn named(config: &Config, name: &RunName) -> Result<Self, RunDirError> {
         let path = config.run.directory.join(name.as_str());
         is_begun(&path)?;
-        let io = |source| RunDirError::Io { path: path.clone(), source };
-        fs::create_dir_all(&path).map_err(io)?;
+        make_directory(&path)?;
         let supervisor = lock(&path, SUPERVISOR_LOCK, name)?;
         if path.join(LOCK).exists() {
             drop(lock_for_supervisor(&path, name)?);
@@ -76,11 +78,53 @@ impl Drop for Reservation {
     }
 }
 
+/// Refuses the `config.toml` of a run that leads to another directory than the one it lies in.
+///
+/// So it is after a run was moved, copied or renamed, and where a command is given in another folder than the run's first
+/// one: another run would go on, or begin anew under the old name. Who says where the run lies (`is_placed`), or which
+/// other name it is to have (`is_named`), means what they say.
+///
+/// # Errors
+///
+/// [`RunDirError::Refused`] with the options that lead to the run that lies there.
+pub fn check_place(
+    file: &Path,
+    config: &Config,
+    is_named: bool,
+    is_placed: bool,
+) -> Result<(), RunDirError> {
+    let own = file.parent().filter(|own| !own.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let is_config = file.file_name().is_some_and(|name| name == CONFIG);
+    let is_a_runs = is_config && own.join(RECORD).exists();
+    let (Some(name), true, false) = (&config.run.name, is_a_runs, is_placed) else { return Ok(()) };
+    let Ok(place) = own.canonicalize() else { return Ok(()) };
+    let leads_to = config.run.directory.join(name.as_str());
+    let own_name = place.file_name().unwrap_or_default();
+    if leads_to.canonicalize().is_ok_and(|other| other == place)
+        || (is_named && own_name != name.as_str())
+    {
+        return Ok(());
+    }
+    let runs = own.parent().filter(|_| own.file_name().is_some()).or(place.parent());
+    let runs = runs.filter(|runs| !runs.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let go_on = match own_name.to_str().map(RunName::new) {
+        Some(Ok(name)) => format!("--runs {} --name {name}", shell_argument(runs.as_os_str())),
+        _ => "--runs and --name, once its directory has a name of a-z, 0-9 and `-`".to_owned(),
+    };
+    Err(RunDirError::Refused(format!(
+        "{} is that of the run in {}, and leads to {}: the run was moved or copied, or began in another folder; go on with \
+         the one there by {go_on}, or begin a new one under another --name",
+        file.display(),
+        own.display(),
+        leads_to.display()
+    )))
+}
+
 /// Makes the directory of a new run: `<stem>-<local date and time>`, with a number if need be.
 pub(crate) fn make_new(config: &Config, stem: &str) -> Result<RunName, RunDirError> {
     let runs = &config.run.directory;
     let io = |source| RunDirError::Io { path: runs.clone(), source };
-    fs::create_dir_all(runs).map_err(io)?;
+    make_directory(runs)?;
     let base = format!("{}-{}", stem.replace('_', "-"), clock::name_stamp());
     let mut number = 1;
     loop {

@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::contents::{CHECKPOINTS, CONFIG};
 use crate::evaluation_record::LAST_EVALUATION;
 use crate::held_out::HELD_OUT;
-use crate::layout::{CHECKPOINTS, CONFIG, LOCK, SUPERVISOR_LOCK};
+use crate::layout::{LOCK, SUPERVISOR_LOCK};
 use crate::policy_file::{BEST_POLICY, LAST_POLICY};
 use crate::race::{FILE as RACE, QUARTER_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD};

@@ -14,6 +14,8 @@ use serde_json::json;
 use thiserror::Error;
 
 use crate::ForkOrigin;
+use crate::command_line::shell_argument;
+use crate::contents::{checkpoints, is_run};
 use crate::digest::sha256;
 use crate::directory_error::with_causes;
 use crate::find::did_you_mean_run;
@@ -49,7 +51,10 @@ pub enum PolicyFileError {
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// The weights are not those that were written.
-    #[error("{} is damaged: its weights are not those that were written; take the file from a copy", .0.display())]
+    #[error(
+        "{} is damaged: its weights are not those that were written; take the file from a copy{}",
+        .0.display(), made_again(.0)
+    )]
     Damaged(PathBuf),
     /// The weights are not those of the task's networks.
     #[error("{} does not fit its task", path.display())]
@@ -226,7 +231,20 @@ fn weights(
 }
 
 fn foreign(path: &Path, reason: &str) -> PolicyFileError {
-    PolicyFileError::NoPolicy(format!("{} is not a policy of Leadtime: {reason}", path.display()))
+    let (shown, again) = (path.display(), made_again(path));
+    PolicyFileError::NoPolicy(format!("{shown} is not a policy of Leadtime: {reason}{again}"))
+}
+
+/// Says how a run writes a policy of its own again, if it can: a learner that finds none takes it from the newest checkpoint.
+fn made_again(path: &Path) -> String {
+    let is_own = [LAST_POLICY, BEST_POLICY].iter().any(|name| path.ends_with(name));
+    let directory = path.parent().filter(|directory| is_own && is_run(directory));
+    let Some(directory) = directory else { return String::new() };
+    if !checkpoints(directory).is_ok_and(|found| !found.is_empty()) {
+        return String::new();
+    }
+    let config = shell_argument(directory.join("config.toml").as_os_str());
+    format!("; remove it, and `leadtime up -c {config}` writes it again from the run's checkpoints")
 }
 
 fn find(runs: &Path, name: &Path, files: [&str; 2]) -> Result<PathBuf, PolicyFileError> {
@@ -270,5 +288,31 @@ mod tests {
         assert_eq!(is("not a policy, nor \u{e4} one".as_bytes()), "it is text");
         assert_eq!(is(b""), "it is empty");
         assert_eq!(is(&[0; 64]), "header too large");
+    }
+
+    #[test]
+    fn a_damaged_policy_of_a_run_that_has_checkpoints_can_be_made_again() {
+        let runs = tempfile::tempdir().unwrap();
+        let run = runs.path().join("r");
+        fs::create_dir_all(run.join("checkpoints")).unwrap();
+        let (best, config) = (run.join(BEST_POLICY), run.join("config.toml"));
+        let refused = || {
+            fs::write(&best, "").unwrap();
+            Fork::read(&crate::test_support::config(runs.path(), "cartpole", "s", &[]), &best)
+                .unwrap_err()
+                .to_string()
+        };
+        fs::write(&config, "").unwrap();
+        assert!(refused().ends_with("it is empty"), "{}", refused());
+        fs::write(run.join("checkpoints/000000000001.checkpoint"), "state").unwrap();
+        let again = format!(
+            "it is empty; remove it, and `leadtime up -c {}` writes it again from the run's checkpoints",
+            config.display()
+        );
+        assert!(refused().ends_with(&again), "{}", refused());
+        let damaged = PolicyFileError::Damaged(best.clone()).to_string();
+        assert!(damaged.contains("from a copy; remove it, and"), "{damaged}");
+        let other = PolicyFileError::Damaged(run.join("copy.safetensors")).to_string();
+        assert!(other.ends_with("take the file from a copy"), "{other}");
     }
 }

@@ -7,7 +7,8 @@
 //! * A run that a learner or a supervisor has open stays. Its locks are held while it is removed, so nobody takes it up.
 //! * A run leaves the list in one step: it is renamed before it is removed. What a removal that was killed has left goes with the
 //!   next one.
-//! * Where the best runs stay, so do those that cannot be compared: each of them may be the best.
+//! * Where the best runs stay, so do those that cannot be compared: each of them may be the best. One whose weights are gone is
+//!   none: it never takes the place of one that has some.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
@@ -18,9 +19,10 @@ use std::time::Duration;
 use leadtime_config::identity;
 use serde::Serialize;
 
-use crate::layout::{CHECKPOINTS, LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
+use crate::contents::{CHECKPOINTS, checkpoints};
+use crate::layout::{LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
 use crate::record::RECORD;
-use crate::{ListedRun, RunRecord, clock, journal};
+use crate::{ListedRun, RunRecord, clock, held_out, journal, policy_file, regular};
 
 /// Files whose time says when something last happened in a run.
 const SIGNS: [&str; 3] = [RECORD, "metrics.jsonl", "eval.json"];
@@ -68,6 +70,9 @@ pub struct OldRun {
 /// If the directory cannot be read.
 pub fn old_runs(runs: &Path, rule: PruneRule) -> io::Result<Vec<OldRun>> {
     let mut all: Vec<(String, PathBuf)> = Vec::new();
+    if let Some(sentence) = regular::dead_link(runs) {
+        return Err(io::Error::new(io::ErrorKind::NotFound, sentence));
+    }
     for entry in fs::read_dir(runs)? {
         let entry = entry?;
         let name = entry.file_name().into_string();
@@ -156,7 +161,7 @@ fn locks(path: &Path) -> Option<Vec<File>> {
 /// that may be it, because they cannot be read.
 fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
     let mut stays = BTreeMap::new();
-    let mut best: BTreeMap<[u8; 32], (f64, String)> = BTreeMap::new();
+    let mut best: BTreeMap<[u8; 32], ((bool, f64), String)> = BTreeMap::new();
     for (name, path) in runs.iter().filter(|(name, _)| !is_left(name)) {
         let is_journal_read = journal::last(path, "update").is_ok();
         let (Ok(config), Ok(record), true) =
@@ -166,8 +171,15 @@ fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
             continue;
         };
         let listed = ListedRun::new(path, record);
+        let has_weights =
+            policy_file::is_in(path) || !checkpoints(path).is_ok_and(|found| found.is_empty());
+        if has_weights && listed.held_out.is_none() && !held_out::read(path).is_empty() {
+            // Its best policy is gone or damaged, and its checkpoints may hold it.
+            stays.insert(name.clone(), StaysBecause::Unreadable);
+            continue;
+        }
         let score = listed.held_out.or(listed.success).or(listed.episode_return);
-        let score = score.unwrap_or(f64::NEG_INFINITY);
+        let score = (has_weights, score.unwrap_or(f64::NEG_INFINITY));
         let entry = best.entry(identity::of_training(&config));
         let found = entry.or_insert_with(|| (score, name.clone()));
         if score > found.0 {
@@ -291,6 +303,17 @@ mod tests {
         let best = Some(StaysBecause::Best);
         let expected = [("a", None), ("b", best), ("c", None), ("d", best)];
         assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
+        // The weights of the best are gone; those of another are there.
+        fs::write(runs.path().join("c/policy.safetensors"), "weights").unwrap();
+        let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
+        let expected = [("a", None), ("b", None), ("c", best), ("d", best)];
+        assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
+        // It was evaluated, and the policy that this is about cannot be told any more.
+        let evaluated = "{\"update\": 7, \"held_out/success\": 0.8}\n";
+        fs::write(runs.path().join("a/held_out.jsonl"), evaluated).unwrap();
+        fs::write(runs.path().join("a/checkpoints/000000000007.checkpoint"), "state").unwrap();
+        let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
+        assert_eq!(found[0].1, Some(StaysBecause::Unreadable));
         // What cannot be compared may be the best.
         fs::write(runs.path().join("a/config.toml"), "").unwrap();
         fs::write(runs.path().join("b").join(RECORD), "").unwrap();

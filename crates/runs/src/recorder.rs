@@ -13,8 +13,8 @@ use serde_json::{Value, json};
 use toml::Table;
 use tracing::warn;
 
+use crate::contents::CONFIG;
 use crate::journal::Journal;
-use crate::layout::CONFIG;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION, WEIGHTS_SHA256};
 use crate::tensorboard::EventFile;
 use crate::{RunRecord, clock, held_out, history, metrics};

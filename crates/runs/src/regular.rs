@@ -13,7 +13,11 @@ pub(crate) fn open(path: &Path) -> io::Result<File> {
 }
 
 /// Reads a whole file.
-pub(crate) fn read(path: &Path) -> io::Result<Vec<u8>> {
+///
+/// # Errors
+///
+/// If it is not there, is something else than a file, or cannot be read.
+pub fn read(path: &Path) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     open(path)?.read_to_end(&mut bytes)?;
     Ok(bytes)
@@ -32,7 +36,12 @@ pub fn read_to_string(path: &Path) -> io::Result<String> {
 
 /// Refuses something else than a file, and what is not there.
 pub(crate) fn check(path: &Path) -> io::Result<()> {
-    if fs::metadata(path)?.is_file() {
+    let found = fs::metadata(path).map_err(|error| match dead_link(path) {
+        // Of the same kind: for those who can do without it, it is not there.
+        Some(sentence) => io::Error::new(error.kind(), sentence),
+        None => error,
+    });
+    if found?.is_file() {
         return Ok(());
     }
     let name = path.file_name().unwrap_or(path.as_os_str()).display();
@@ -47,8 +56,17 @@ pub(crate) fn if_there<T>(found: io::Result<T>) -> io::Result<Option<T>> {
     }
 }
 
+/// Says where a link leads at whose end nothing is, as on a disk that is not mounted; `None` for everything else.
+pub(crate) fn dead_link(path: &Path) -> Option<String> {
+    let target = fs::read_link(path).ok()?;
+    let name = path.file_name().unwrap_or(path.as_os_str()).display();
+    let is_dead = fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound);
+    is_dead.then(|| format!("{name} is a link to {}, and nothing is there", target.display()))
+}
+
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::symlink;
     use std::process::Command;
 
     use super::*;
@@ -62,6 +80,14 @@ mod tests {
         let error = read_to_string(place.path()).unwrap_err();
         assert!(error.to_string().ends_with(" is not a file"), "{error}");
         assert!(if_there(open(&place.path().join("none"))).unwrap().is_none());
+        let missing = open(&place.path().join("none")).unwrap_err();
+        assert_eq!(missing.kind(), io::ErrorKind::NotFound);
+        symlink("/nowhere/run.json", place.path().join("link")).unwrap();
+        let dead = open(&place.path().join("link")).unwrap_err();
+        assert_eq!(dead.kind(), io::ErrorKind::NotFound);
+        assert_eq!(dead.to_string(), "link is a link to /nowhere/run.json, and nothing is there");
+        assert_eq!(dead_link(&place.path().join("none")), None);
+        assert_eq!(dead_link(place.path()), None);
         fs::write(place.path().join("text"), "words").unwrap();
         assert_eq!(read_to_string(&place.path().join("text")).unwrap(), "words");
     }

@@ -313,8 +313,8 @@ fn command(tasks: &Tasks, run: &RunFiles, nearest: &NearestBuiltIn, program: &st
         }
         None => words.push(run.directory.join("config.toml").display().to_string()),
     }
-    // A name has at most 64 characters.
-    let name: String = run.name().chars().take(58).collect();
+    // A name has at most 64 characters; that of a directory may be none.
+    let name: String = run.record.name.chars().take(58).collect();
     words.extend(["--name".to_owned(), format!("{name}-again")]);
     if run.record.origin.is_some() {
         // The run that it was forked from may have gone on since.

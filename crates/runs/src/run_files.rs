@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use crate::layout::{read_config, read_record};
-use crate::{RunDirError, RunRecord, held_out, journal};
+use crate::{RunDirError, RunRecord, held_out, journal, name_in_place};
 
 /// Updates of a quick run, which checks the mechanics only.
 pub const QUICK_UPDATES: u64 = 12;
@@ -15,6 +15,7 @@ pub const QUICK_UPDATES: u64 = 12;
 pub struct RunFiles {
     /// The run's directory, as it was named.
     pub directory: PathBuf,
+    name: String,
     pub(crate) record: RunRecord,
     pub(crate) journal: Vec<Map<String, Value>>,
     /// Evaluations on held-out episodes.
@@ -34,12 +35,13 @@ impl RunFiles {
         let io = |source| RunDirError::Io { path: directory.join("metrics.jsonl"), source };
         let journal = journal::read(&directory).map_err(io)?;
         let held_out = held_out::read(&directory);
-        Ok(Self { directory, record, journal, held_out, config })
+        let name = name_in_place(&directory, &record);
+        Ok(Self { directory, name, record, journal, held_out, config })
     }
 
-    /// Returns the run's name.
+    /// Returns the run's name: its directory's.
     pub fn name(&self) -> &str {
-        &self.record.name
+        &self.name
     }
 
     /// Returns how many updates the run has done.

@@ -26,7 +26,7 @@ use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 use tokio_util::sync::CancellationToken;
 
 use crate::build::running_program;
-use crate::journal;
+use crate::{journal, regular};
 
 /// How often a child is restarted without having been healthy in between.
 const RESTARTS: u32 = 5;
@@ -230,7 +230,12 @@ impl ChildHandle {
     }
 
     fn spawn(&self) -> io::Result<ChildProcess> {
-        let open = |path| OpenOptions::new().create(true).append(true).open(path);
+        let open = |path: &PathBuf| {
+            if path.symlink_metadata().is_ok() {
+                regular::check(path)?;
+            }
+            OpenOptions::new().create(true).append(true).open(path)
+        };
         let stderr = self.stderr_log.as_ref().map(open).transpose()?;
         let stderr = stderr.map_or_else(Stdio::inherit, Stdio::from);
         let stdout = if self.shows_results { Stdio::inherit() } else { Stdio::null() };
@@ -422,5 +427,11 @@ mod tests {
         actor.stderr_log = Some(run.path().join("missing/log"));
         assert_eq!(actor.poll(run.path()), ChildHealth::Alive);
         assert_eq!(actor.n_restarts, 1);
+        // A pipe that nobody reads: it would keep the supervisor waiting.
+        let pipe = run.path().join("log");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        actor.stderr_log = Some(pipe);
+        let error = actor.spawn().map(drop).unwrap_err();
+        assert_eq!(error.to_string(), "log is not a file");
     }
 }

@@ -19,7 +19,7 @@ use std::path::Path;
 use leadtime_eval::measure::Evaluation;
 use leadtime_proto::{codec, limits};
 use leadtime_runs::digest::sha256;
-use leadtime_runs::{ProgramBuild, write_atomically};
+use leadtime_runs::{ProgramBuild, regular, write_atomically};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 
@@ -62,7 +62,7 @@ impl EvalCache {
 
     /// Takes an evaluation that this program made before; `None` if there is none.
     pub(crate) fn take(&mut self, path: &Path) -> Option<Evaluation> {
-        let bytes = fs::read(path).ok()?;
+        let bytes = regular::read(path).ok()?;
         let (expected, content) = bytes.split_at_checked(DIGEST_BYTES)?;
         if Sha256::digest(content).as_slice() != expected {
             return None;
@@ -155,6 +155,11 @@ mod tests {
         }
         fs::write(&path, &whole[..whole.len() / 2]).unwrap();
         assert_eq!(cache.take(&path), None);
+        fs::remove_file(&path).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+        assert_eq!(cache.take(&path), None, "nobody waits for a pipe");
+        fs::remove_file(&path).unwrap();
+        fs::write(&path, "").unwrap();
         // Where there is a file, there cannot be a directory; that is no error.
         cache.keep(&path.join("b.json"), &evaluation());
         assert_eq!(cache.take(&path.join("b.json")), None);

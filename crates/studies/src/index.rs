@@ -4,12 +4,17 @@ use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
 
+use leadtime_runs::regular;
+use serde_json::Value;
+
 use crate::catalog;
-use crate::error::Error;
+use crate::error::{Error, ensure};
 use crate::result::StudyResult;
 
 /// The file of the index, in the folder of the results.
 pub(crate) const FILE: &str = "README.md";
+/// How the index begins, and began in earlier releases.
+const BEGINNING: &str = "# Results\n\nThe paper's figures and ours beside them. ";
 /// What the results say of the paper's claims, written by hand: a table without a heading.
 const VERDICT: &str = "verdict.md";
 /// The folder next to it for results of quick runs.
@@ -18,11 +23,10 @@ pub(crate) const QUICK: &str = "quick";
 /// Makes the index of a directory: full results where there are some, else those of a quick run, and in the end how to
 /// get the rest.
 pub(crate) fn page(results: &Path) -> Result<String, Error> {
-    let mut page = String::from(
-        "# Results\n\nThe paper's figures and ours beside them. `leadtime compare` writes this page. Each study's own \
-         page has every measure, and says where its numbers come from.\n\n",
-    );
-    match fs::read_to_string(results.join(VERDICT)) {
+    let mut page = BEGINNING.to_owned()
+        + "`leadtime compare` writes this page. Each study's own page has every measure, and says where its numbers come \
+           from.\n\n";
+    match regular::read_to_string(&results.join(VERDICT)) {
         Err(error) if error.kind() == ErrorKind::NotFound => {}
         verdict => {
             let verdict = verdict.map_err(Error::file("reading", &results.join(VERDICT)))?;
@@ -52,8 +56,32 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
     Ok(page)
 }
 
+/// Makes sure that the index of a directory replaces nothing but an earlier one.
+pub(crate) fn check(results: &Path) -> Result<(), Error> {
+    let path = results.join(FILE);
+    let text = match regular::read_to_string(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+        text => text.map_err(Error::file("reading", &path))?,
+    };
+    ensure(text.starts_with(BEGINNING), || {
+        format!(
+            "{} was not written by `leadtime compare`, whose index would replace it; use another --out",
+            path.display()
+        )
+    })
+}
+
+/// Tells whether a file is there and holds the data of a study, of whichever release.
+pub(crate) fn is_data(path: &Path) -> Result<bool, Error> {
+    let text = match regular::read_to_string(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
+        text => text.map_err(Error::file("reading", path))?,
+    };
+    Ok(serde_json::from_str::<Value>(&text).is_ok_and(|data| data["study"].is_string()))
+}
+
 fn read(path: &Path) -> Result<Option<StudyResult>, Error> {
-    let text = match fs::read_to_string(path) {
+    let text = match regular::read_to_string(path) {
         Ok(text) => text,
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(Error::file("reading", path)(error)),
@@ -72,11 +100,14 @@ fn others(results: &Path) -> Result<String, Error> {
     let is_study = |name: &str| catalog::names().any(|study| name == format!("{study}.md"));
     let is_ours = |name: &str| name == FILE || name == VERDICT || is_study(name);
     let mut names: Vec<String> = names.filter(|name| is_page(name) && !is_ours(name)).collect();
+    names.retain(|name| results.join(name).is_file());
     names.sort();
     let mut lines = String::new();
     for name in names {
         let path = results.join(&name);
-        let text = fs::read_to_string(&path).map_err(Error::file("reading", &path))?;
+        let bytes = fs::read(&path).map_err(Error::file("reading", &path))?;
+        // Somebody else's page, in whichever encoding, must not end a comparison that is done.
+        let text = String::from_utf8_lossy(&bytes);
         let heading = text.lines().find_map(|line| line.strip_prefix("# ")).unwrap_or(&name);
         lines.extend(["* [", heading, "](", &name, ")\n"]);
     }
@@ -93,10 +124,13 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         fs::write(dir.path().join("parity.md"), "# Parity with others\n").unwrap();
         fs::write(dir.path().join(VERDICT), "| claim | verdict |\n").unwrap();
+        fs::write(dir.path().join("old.md"), b"# Old \xff\n").unwrap();
+        fs::create_dir(dir.path().join("notes.md")).unwrap();
         let page = page(dir.path()).unwrap();
         assert!(page.contains("## Does it reproduce the paper?\n\n| claim |"), "{page}");
         let page = page.replacen("\n## Does", "", 1);
         assert!(page.contains("* [Parity with others](parity.md)"), "{page}");
+        assert!(page.contains("* [Old \u{fffd}](old.md)") && !page.contains("notes.md"), "{page}");
         let rest = "Other tables are not in this directory: `leadtime compare table1`, ";
         assert!(page.contains(rest), "{page}");
         assert!(!page.contains("\n## "), "what is not there has no section: {page}");

@@ -31,8 +31,8 @@ impl<'a> StudySession<'a> {
     ///
     /// # Errors
     ///
-    /// If the request names something that does not exist, a setting is refused, a measure is unknown, or a page would
-    /// replace one that no study wrote.
+    /// If the request names something that does not exist, a setting is refused, a measure is unknown, or a page or
+    /// the index would replace one that no study wrote.
     pub fn plan(
         tasks: &'a Tasks,
         studies: Vec<NamedStudy>,
@@ -41,6 +41,7 @@ impl<'a> StudySession<'a> {
         plan::check_choice(&studies, &request)?;
         profile::check_profiles(tasks, &studies, &request)?;
         let destination = Destination::new(&request, &studies);
+        destination.check_index()?;
         studies.iter().try_for_each(|named| destination.check(&named.name))?;
         let plans = studies.into_iter().map(|named| StudyPlan::new(tasks, named, &request));
         let mut plans = plans.collect::<Result<Vec<_>, _>>()?;

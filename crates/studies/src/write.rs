@@ -39,7 +39,18 @@ impl Destination {
                 page.display(),
                 data.display()
             )
+        })?;
+        ensure(!data.exists() || index::is_data(&data)?, || {
+            format!(
+                "{} is not a study's result; use another --out, or another name for the study",
+                data.display()
+            )
         })
+    }
+
+    /// Checks, before hours of training, that the index would replace nothing but an earlier one.
+    pub(crate) fn check_index(&self) -> Result<(), Error> {
+        self.results.as_deref().map_or(Ok(()), index::check)
     }
 
     fn directory(&self) -> Option<PathBuf> {
@@ -129,7 +140,24 @@ mod tests {
         fs::write(dir.path().join("driving.md"), "# Written by hand").unwrap();
         let error = sentence(destination.check("driving"));
         assert!(error.contains("driving.md was not written by a study"), "{error}");
-        fs::write(dir.path().join("driving.json"), "{}").unwrap();
+        fs::write(dir.path().join("driving.json"), r#"{"frames": []}"#).unwrap();
+        let error = sentence(destination.check("driving"));
+        assert!(error.contains("driving.json is not a study's result"), "{error}");
+        fs::write(dir.path().join("driving.json"), r#"{"study": "driving"}"#).unwrap();
         destination.check("driving").unwrap();
+    }
+
+    #[test]
+    fn an_index_that_no_comparison_wrote_is_not_replaced() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = Some(dir.path().to_owned());
+        let destination = destination(&StudyRequest { out, ..request(Path::new("runs")) });
+        destination.check_index().unwrap();
+        let index = destination.write_index().unwrap().unwrap();
+        destination.check_index().unwrap();
+        fs::write(&index, "# My project\n").unwrap();
+        let error = sentence(destination.check_index());
+        assert!(error.contains("README.md was not written by `leadtime compare`"), "{error}");
+        assert_eq!(fs::read_to_string(&index).unwrap(), "# My project\n");
     }
 }

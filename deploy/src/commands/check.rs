@@ -160,7 +160,8 @@ fn report(what: &str, finding: &str) {
 /// Makes sure that a run could be made, without leaving anything behind.
 fn writable(config: &Config) -> anyhow::Result<()> {
     let wanted = &config.run.directory;
-    let there = wanted.ancestors().find(|path| path.exists());
+    // A link that leads nowhere is there, and in the way.
+    let there = wanted.ancestors().find(|path| path.symlink_metadata().is_ok());
     let directory = there.filter(|path| !path.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let refused = || format!("`run.directory` {}: nothing can be written there", wanted.display());
     tempfile::tempfile_in(directory).with_context(refused).map(|_file| ())

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use leadtime_config::Config;
-use leadtime_runs::RunRecord;
 use leadtime_runs::launch::{self, Launch, LaunchError, Launched};
 use leadtime_runs::supervise::Ended;
+use leadtime_runs::{RunRecord, name_in_place};
 use tokio_util::sync::CancellationToken;
 
 use crate::exit::{ExitCode, Failure};
@@ -14,11 +14,12 @@ use crate::output;
 
 /// Says how a run goes on, and returns true, if it was begun and has not reached its end.
 pub(super) fn goes_on(run: &Path, what: &Launch<'_>) -> bool {
-    let Ok(RunRecord { name, result: None, .. }) = RunRecord::read(run) else { return false };
+    let record = RunRecord::read(run).ok().filter(|record| record.result.is_none());
+    let Some(record) = record else { return false };
     let mut options = vec!["--actors".into(), what.n_actors.to_string().into()];
     options.extend(what.listen.iter().flat_map(|listen| ["--listen".into(), listen.into()]));
     options.extend(what.guard.iter().cloned());
-    output::next_resumes("up", run, &name, &options);
+    output::next_resumes("up", run, &name_in_place(run, &record), &options);
     true
 }
 

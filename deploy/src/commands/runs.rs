@@ -46,7 +46,8 @@ fn list(args: &RunsArgs) -> anyhow::Result<()> {
 fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
     let runs = &args.runs;
     let rule = PruneRule { older: which.older, keep_best: which.keep_best };
-    let mut old = if runs.exists() {
+    let is_there = runs.symlink_metadata().is_ok();
+    let mut old = if is_there {
         old_runs(runs, rule).with_context(|| format!("reading {}", runs.display()))?
     } else {
         Vec::new()
@@ -85,7 +86,10 @@ fn prune(args: &RunsArgs, which: PruneArgs) -> anyhow::Result<()> {
         output::line(&format!("{name}  {size:.1} MB, {age} old: {fate}"));
     }
     let n_going = old.iter().filter(|run| run.stays.is_none()).count();
-    if n_going == 0 {
+    if !is_there {
+        // The directory may be misspelt, and a disk fills that should have been swept.
+        output::say(&format!("there are no runs in {}", runs.display()));
+    } else if n_going == 0 {
         output::say("no run is to be removed");
     } else if !which.yes {
         output::note("Nothing was removed; --yes does it.");
