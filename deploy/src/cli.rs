@@ -276,8 +276,10 @@ impl RunChoice {
         if let Some(file) = &source.config {
             let is_set = |key: &str| source.set.iter().any(|change| change.key() == key);
             let is_named = self.name.is_some() || is_set("run.name");
-            let is_placed = source.runs.is_some() || is_set("run.directory");
-            check_place(file, &config, is_named, is_placed)?;
+            // Who says where the run lies means what they say.
+            if source.runs.is_none() && !is_set("run.directory") {
+                check_place(file, &config, is_named)?;
+            }
         }
         Ok(config)
     }

@@ -321,9 +321,9 @@ fn the_configuration_of_a_run_leads_to_that_run_or_is_refused() {
     let runs = place.path().join("runs");
     begun(&runs, Some("r"), &[]);
     let wanted = config(&runs, Some("r"), &[]);
-    let check = |directory: &Path, is_named: bool, is_placed: bool| {
+    let check = |directory: &Path, is_named: bool| {
         let file = directory.join("config.toml");
-        check_place(&file, &wanted, is_named, is_placed).map_err(|error| error.to_string())
+        check_place(&file, &wanted, is_named).map_err(|error| error.to_string())
     };
     let copy = |to: &str| {
         let directory = place.path().join(to);
@@ -333,26 +333,25 @@ fn the_configuration_of_a_run_leads_to_that_run_or_is_refused() {
         }
         directory
     };
-    assert_eq!(check(&runs.join("r"), false, false), Ok(()));
+    assert_eq!(check(&runs.join("r"), false), Ok(()));
     symlink(&runs, place.path().join("link")).unwrap();
-    assert_eq!(check(&place.path().join("link/r"), false, false), Ok(()));
+    assert_eq!(check(&place.path().join("link/r"), false), Ok(()));
     let (renamed, moved) = (copy("away/copy"), copy("backup/r"));
-    let text = check(&renamed, false, false).unwrap_err();
+    let text = check(&renamed, false).unwrap_err();
     let away = place.path().join("away");
     let go_on = format!("go on with the one there by --runs {} --name copy,", away.display());
     assert!(text.contains(&go_on), "{text}");
     assert!(text.contains(&format!("leads to {}: ", runs.join("r").display())), "{text}");
-    // It is said that another run is meant, or where the run lies.
-    assert_eq!(check(&renamed, true, false), Ok(()));
-    assert_eq!(check(&moved, false, true), Ok(()));
-    // The name alone says neither.
-    let text = check(&moved, true, false).unwrap_err();
+    // It is said that another run is meant.
+    assert_eq!(check(&renamed, true), Ok(()));
+    // The name alone does not say that.
+    let text = check(&moved, true).unwrap_err();
     assert!(text.contains("--name r,"), "{text}");
-    let nameless = check(&copy("away/My Run"), false, false).unwrap_err();
+    let nameless = check(&copy("away/My Run"), false).unwrap_err();
     assert!(nameless.contains("a name of a-z"), "{nameless}");
     // A configuration of one's own that has the name of a run's.
     fs::remove_file(renamed.join("run.json")).unwrap();
-    assert_eq!(check(&renamed, false, false), Ok(()));
+    assert_eq!(check(&renamed, false), Ok(()));
 }
 
 #[test]

@@ -81,22 +81,17 @@ impl Drop for Reservation {
 /// Refuses the `config.toml` of a run that leads to another directory than the one it lies in.
 ///
 /// So it is after a run was moved, copied or renamed, and where a command is given in another folder than the run's first
-/// one: another run would go on, or begin anew under the old name. Who says where the run lies (`is_placed`), or which
-/// other name it is to have (`is_named`), means what they say.
+/// one: another run would go on, or begin anew under the old name. Who says which other name it is to have (`is_named`) means
+/// what they say.
 ///
 /// # Errors
 ///
 /// [`RunDirError::Refused`] with the options that lead to the run that lies there.
-pub fn check_place(
-    file: &Path,
-    config: &Config,
-    is_named: bool,
-    is_placed: bool,
-) -> Result<(), RunDirError> {
+pub fn check_place(file: &Path, config: &Config, is_named: bool) -> Result<(), RunDirError> {
     let own = file.parent().filter(|own| !own.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let is_config = file.file_name().is_some_and(|name| name == CONFIG);
     let is_a_runs = is_config && own.join(RECORD).exists();
-    let (Some(name), true, false) = (&config.run.name, is_a_runs, is_placed) else { return Ok(()) };
+    let (Some(name), true) = (&config.run.name, is_a_runs) else { return Ok(()) };
     let Ok(place) = own.canonicalize() else { return Ok(()) };
     let leads_to = config.run.directory.join(name.as_str());
     let own_name = place.file_name().unwrap_or_default();

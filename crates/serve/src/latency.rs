@@ -31,6 +31,11 @@ impl LatencyHistogram {
         self.max_us = self.max_us.max(us);
     }
 
+    /// Returns how many were counted.
+    pub fn n(&self) -> u64 {
+        self.n
+    }
+
     /// Returns the longest, in microseconds.
     pub fn max_us(&self) -> f64 {
         self.max_us
@@ -73,11 +78,11 @@ mod tests {
             let found = times.quantile_us(share);
             assert!((found / us - 1.0).abs() < 0.011, "{share}: {found}");
         }
-        assert_eq!((times.n, times.max_us()), (10_000, 10_000.0));
+        assert_eq!((times.n(), times.max_us()), (10_000, 10_000.0));
         times.record(u64::MAX);
         assert!(times.quantile_us(1.0) > 3e7);
         let mut both = times.clone();
         both.add(&times);
-        assert_eq!(both.n, 20_002);
+        assert_eq!(both.n(), 20_002);
     }
 }
