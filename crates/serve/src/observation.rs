@@ -11,6 +11,7 @@
 
 use std::fmt;
 
+use leadtime_proto::limits::MAX_LIVE_BYTES;
 use leadtime_proto::text::quoted;
 use leadtime_taxonomy::MAX_FACTS;
 use serde::Deserialize;
@@ -88,6 +89,8 @@ pub enum BadObservation {
         "the checksum of the observation is wrong: it was damaged on the way, or is not CRC-32C over bytes 0 to 32 and the numbers"
     )]
     Checksum,
+    #[error("the observation has {0} bytes, with what is beside it; {MAX_LIVE_BYTES} at most")]
+    TooLong(usize),
     #[error("the raw observation has {0} bytes, not 4 for each number")]
     RawLength(usize),
     #[error("an observation of encoding `{}`; known: application/json, application/octet-stream;leadtime.obs/1", quoted(.0))]
