@@ -46,7 +46,7 @@ use crate::observation::{BadObservation, LiveObservation, write_json_with};
 use crate::open::{SayForm, SessionPlan, StepClock, WordClock};
 use crate::phrases::{PhraseBook, PhraseTurns};
 use crate::robot::{Arrived, ObservationSource, RobotReader};
-use crate::say::{self, SaidUtterance, SayEvent, SayLine};
+use crate::say::{self, SaidUtterance, SayEvent, SayLine, SayTo};
 use crate::status::{LiveCounts, LiveState, Silence, StatusLine, seconds};
 use crate::travel::TravelTime;
 use crate::working_policy::{LiveDecider, WorkingPolicy};
@@ -84,18 +84,6 @@ pub struct ObservationBytes<'a> {
     pub payload: &'a [u8],
     /// What was attached to it.
     pub beside: Option<&'a [u8]>,
-}
-
-/// Where a session's events go.
-pub trait SayTo {
-    /// Puts an event of what is said, JSON or raw as the client wants it.
-    fn say(&mut self, bytes: &[u8]);
-    /// Puts a status, as JSON.
-    fn status(&mut self, bytes: &[u8]);
-    /// Plays a sentence, if there is a loudspeaker; what it plays is cut.
-    fn play(&mut self, _sentence: &Arc<SpokenSentence>) {}
-    /// Cuts what is played.
-    fn hush(&mut self) {}
 }
 
 /// What is being said, or was said last.

@@ -13,8 +13,9 @@ use tracing::debug;
 
 use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
-use crate::live_session::{LiveSession, LiveSnapshot, ObservationBytes, SayTo};
+use crate::live_session::{LiveSession, LiveSnapshot, ObservationBytes};
 use crate::robot::RobotWriter;
+use crate::say::SayTo;
 use crate::status::{LiveState, Silence};
 use crate::taken::{TakenInput, TakenLog};
 use crate::working_policy::LiveDecider;
