@@ -266,6 +266,73 @@ fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
 }
 
 #[test]
+fn what_is_too_long_is_told() {
+    let place = Place::new();
+    let _notifier = serve(&place, "");
+    let mut client = Client::connect(&place, "car-1", 1);
+    client.open(&json!({})).unwrap();
+    let long = vec![b' '; 70_000];
+    let is_told = |status: &Value| {
+        status["told"]
+            .as_str()
+            .is_some_and(|told| told.contains("70000 bytes, with what is beside"))
+    };
+    let deadline = Instant::now() + PATIENCE;
+    while !client.statuses.iter().any(is_told) {
+        assert!(Instant::now() < deadline, "{:?}", client.statuses.last());
+        client.port.observe(&long).unwrap();
+        client.listen(Duration::from_millis(100));
+    }
+}
+
+#[test]
+fn who_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_back() {
+    let place = Place::new();
+    let _notifier = serve(&place, "--state state");
+    let mut client = Client::connect(&place, "car-1", 1);
+    let session = client.open(&json!({})).unwrap()["session"].clone();
+    client.watch(Duration::from_millis(500));
+    wait_until("the same session tells the newest number", PATIENCE, || {
+        let again = client.open(&json!({})).unwrap();
+        again["session"] == session && again["last_seq"] == client.seq
+    });
+
+    // The client's clock jumps ahead and back: nothing that it sends can be used any more, and that is kept.
+    let (values, mut head) = (client.values(), client.head());
+    head.t = 9e8;
+    client.port.observe(&write_json(&head, &values)).unwrap();
+    client.listen(Duration::from_millis(2_500));
+    let deadline = Instant::now() + PATIENCE;
+    while client.statuses.last().is_none_or(|status| status["state"] != "closed") {
+        assert!(Instant::now() < deadline, "{:?}", client.statuses.last());
+        client.observe();
+        client.listen(Duration::from_millis(2));
+    }
+    let mut fresh = Value::Null;
+    wait_until("it is over", PATIENCE, || {
+        fresh = client.open(&json!({})).unwrap();
+        fresh["session"] != session
+    });
+    assert_eq!(fresh["last_seq"], 0, "{fresh}");
+    client.statuses.clear();
+    client.watch(Duration::from_secs(2));
+    client.listen_for("state", "speaking");
+}
+
+#[test]
+fn who_has_to_give_up_its_place_is_told() {
+    let place = Place::new();
+    let _notifier = serve(&place, "--max-sessions 1");
+    // Its presence is that of another start: nobody knows that it is there.
+    let mut first = Client::connect(&place, "car-1", 1);
+    first.open(&json!({"incarnation": "00000000000000ff"})).unwrap();
+    let second = Client::connect(&place, "car-2", 2);
+    second.open(&json!({})).unwrap();
+    first.listen_for("why", "another client was given the place");
+    assert_eq!(first.statuses.last().unwrap()["state"], "closed");
+}
+
+#[test]
 fn a_session_that_another_question_replaces_is_cut() {
     let place = Place::new();
     let _notifier = serve(&place, "--set human.interrupt=replace");

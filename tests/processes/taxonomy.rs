@@ -5,6 +5,7 @@ use std::fs;
 use std::net::TcpListener;
 use std::process::Command;
 
+use crate::notifier::policy;
 use crate::support::{FAILED, Finished, PATIENCE, PEER_LOST, Place, WRONG_INPUT, repository};
 
 /// A database of one topic and two sentences.
@@ -166,7 +167,13 @@ fn facts_and_words_are_checked_against_each_other() {
         ),
         ("text = \"Climb again.\"", "\"Climb again.\" presupposes `again`, which"),
     ] {
-        taxonomy(&place, &["validate", &with(entry)]).with_code(WRONG_INPUT).saying(&[says]);
+        let file = with(entry);
+        taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(&[says]);
+        // Who would speak in them says so too, instead of never saying that sentence.
+        for command in ["serve --describe", "eval --transcript"] {
+            let refused = place.finish(&[command, &policy(), "--words", &file]);
+            refused.with_code(WRONG_INPUT).saying(&[says]);
+        }
     }
     // Words without their facts are listed.
     for (entry, says) in [

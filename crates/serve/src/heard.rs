@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::json_fault::{FieldRule, JsonFault, no_choice, no_number, no_small_count, or_null};
+
 /// What the loudspeaker did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -32,14 +34,24 @@ pub struct HeardReport {
     pub t: Option<f64>,
 }
 
+/// The fields of a report, for the sentence about what is wrong with one.
+const RULES: [FieldRule; 4] = [
+    FieldRule::required("utterance", "the number of the utterance, a whole number", no_small_count),
+    FieldRule::required("event", "start, word, end or cut", |value| {
+        no_choice(value, &["start", "word", "end", "cut"])
+    }),
+    FieldRule::optional("word", "the word that begins, a whole number from 0", no_small_count),
+    FieldRule::optional("t", "the client's time, in seconds", |value| or_null(value, no_number)),
+];
+
 impl HeardReport {
     /// Reads a report.
     ///
     /// # Errors
     ///
-    /// [`serde_json::Error`] if the bytes are no JSON of a report, or have an unknown field.
-    pub fn read(bytes: &[u8]) -> Result<Self, serde_json::Error> {
-        serde_json::from_slice(bytes)
+    /// [`JsonFault`] if the bytes are no JSON of a report, or have an unknown field.
+    pub fn read(bytes: &[u8]) -> Result<Self, JsonFault> {
+        serde_json::from_slice(bytes).map_err(|error| JsonFault::find(bytes, &RULES, &error))
     }
 }
 
@@ -57,6 +69,18 @@ mod tests {
             ["", "{}", r#"{"utterance":5,"event":"said"}"#, r#"{"utterance":-1,"event":"end"}"#]
         {
             read(text).unwrap_err();
+        }
+        for (text, told) in [
+            (r#"{"event":"end"}"#, "`utterance` is missing: the number of the utterance"),
+            (
+                r#"{"utterance":1,"event":"sad"}"#,
+                "`event` has to be start, word, end or cut; it is",
+            ),
+            (r#"{"utterance":1,"event":"word","wrod":1}"#, "did you mean `word`?"),
+            (r#"{"utterance":4294967296,"event":"end"}"#, "a whole number; it is 4294967296"),
+        ] {
+            let fault = read(text).unwrap_err().to_string();
+            assert!(fault.contains(told), "{fault}");
         }
     }
 }

@@ -55,7 +55,7 @@ pub enum JsonFault {
     Misfit { field: &'static str, expected: &'static str, found: String },
     #[error("`{0}` is there twice")]
     Twice(&'static str),
-    #[error("it cannot be read: {0}")]
+    #[error("{0}")]
     Other(String),
 }
 
@@ -118,6 +118,23 @@ pub(crate) fn described(value: &Value) -> String {
 /// Describes a value that is not a whole number from 0.
 pub(crate) fn no_count(value: &Value) -> Option<String> {
     value.as_u64().is_none().then(|| format!("it is {}", described(value)))
+}
+
+/// Describes a value that is not a whole number from 0 of 32 bits.
+pub(crate) fn no_small_count(value: &Value) -> Option<String> {
+    let count = value.as_u64().and_then(|count| u32::try_from(count).ok());
+    count.is_none().then(|| format!("it is {}", described(value)))
+}
+
+/// Describes a value that may be left out as null, too.
+pub(crate) fn or_null(value: &Value, misfit: fn(&Value) -> Option<String>) -> Option<String> {
+    if value.is_null() { None } else { misfit(value) }
+}
+
+/// Describes a value that is none of the texts that may be chosen.
+pub(crate) fn no_choice(value: &Value, choices: &[&str]) -> Option<String> {
+    let is_choice = value.as_str().is_some_and(|text| choices.contains(&text));
+    (!is_choice).then(|| format!("it is {}", described(value)))
 }
 
 /// Describes a value that is not a number.

@@ -46,12 +46,12 @@ pub use bus_player::{BusPlayer, SaidMessage};
 pub use client::{ClientError, ClientSettings, LiveClient};
 pub use json_fault::JsonFault;
 pub use latency::LatencyHistogram;
-pub use live_session::{LiveSession, LiveSnapshot, ObservationBytes, SayTo};
+pub use live_session::{LiveSession, LiveSnapshot, ObservationBytes};
 pub use open::{
     OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan, StepClock, WordClock,
 };
 pub use robot::{ObservationSource, RobotForm, RobotSession, RobotWriter};
-pub use say::{HeardSay, SayEvent};
+pub use say::{HeardSay, SayEvent, SayTo};
 pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
 pub use status::{LiveCounts, LiveState, Silence};
 pub use taken::{TakenInput, TakenLine};

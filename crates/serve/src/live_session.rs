@@ -46,7 +46,7 @@ use crate::observation::{BadObservation, LiveObservation, write_json_with};
 use crate::open::{SayForm, SessionPlan, StepClock, WordClock};
 use crate::phrases::{PhraseBook, PhraseTurns};
 use crate::robot::{Arrived, ObservationSource, RobotReader};
-use crate::say::{self, SaidUtterance, SayEvent, SayLine};
+use crate::say::{self, SaidUtterance, SayEvent, SayLine, SayTo};
 use crate::status::{LiveCounts, LiveState, Silence, StatusLine, seconds};
 use crate::travel::TravelTime;
 use crate::working_policy::{LiveDecider, WorkingPolicy};
@@ -84,18 +84,6 @@ pub struct ObservationBytes<'a> {
     pub payload: &'a [u8],
     /// What was attached to it.
     pub beside: Option<&'a [u8]>,
-}
-
-/// Where a session's events go.
-pub trait SayTo {
-    /// Puts an event of what is said, JSON or raw as the client wants it.
-    fn say(&mut self, bytes: &[u8]);
-    /// Puts a status, as JSON.
-    fn status(&mut self, bytes: &[u8]);
-    /// Plays a sentence, if there is a loudspeaker; what it plays is cut.
-    fn play(&mut self, _sentence: &Arc<SpokenSentence>) {}
-    /// Cuts what is played.
-    fn hush(&mut self) {}
 }
 
 /// What is being said, or was said last.
@@ -168,7 +156,7 @@ pub struct LiveSession {
     n_refused_in_a_row: u32,
     /// Observations in a row whose numbers are below one that was taken.
     n_late_in_a_row: u32,
-    /// How many observations were refused in this process, and why the last one was.
+    /// How many messages were refused in this process, and why the last one was.
     refusals: (u64, String),
     told: String,
     /// Which numbers were strange before.
@@ -293,7 +281,7 @@ impl LiveSession {
         self.counts
     }
 
-    /// Returns how many observations were refused in this process, and why the last one was.
+    /// Returns how many messages were refused in this process, and why the last one was.
     pub(crate) fn refusals(&self) -> (u64, &str) {
         (self.refusals.0, &self.refusals.1)
     }
@@ -362,6 +350,7 @@ impl LiveSession {
         }
         let ObservationBytes { encoding, payload, beside } = bytes;
         let read = match (encoding, &mut self.robot) {
+            (ArrivalEncoding::TooLong(n_bytes), _) => Err(BadObservation::TooLong(*n_bytes)),
             (_, Some(robot)) => {
                 let last = Arrived { seq: self.last_seq, t: self.last_t, at: self.newest_at };
                 let read = robot.read(&mut self.incoming, payload, beside, at, last);
@@ -433,12 +422,16 @@ impl LiveSession {
         }
     }
 
-    fn refuse(&mut self, now: u64, error: &BadObservation, out: &mut impl SayTo) {
+    fn note_refusal(&mut self, told: String) {
         self.counts.refused += 1;
-        self.n_refused_in_a_row += 1;
-        self.told = error.to_string();
+        self.told = told;
         self.refusals = (self.refusals.0 + 1, self.told.clone());
         self.has_news = true;
+    }
+
+    fn refuse(&mut self, now: u64, error: &BadObservation, out: &mut impl SayTo) {
+        self.n_refused_in_a_row += 1;
+        self.note_refusal(error.to_string());
         if self.n_refused_in_a_row >= MAX_REFUSED && self.robot.is_none() {
             let why = Silence::Refused(self.n_refused_in_a_row, self.told.clone());
             self.close(now, why, out);
@@ -457,7 +450,9 @@ impl LiveSession {
         let is_stepped = self.plan.clock == StepClock::Observation;
         // A simulator's time is its own affair.
         let delay = if is_stepped { 0 } else { self.travel.delay(at, head.t) };
-        let lost_for = if self.state == LiveState::Lost { now - self.since } else { 0 };
+        // Who was restored waits as one who was lost: the past ages all the same.
+        let is_quiet = matches!(self.state, LiveState::Lost | LiveState::Waiting);
+        let lost_for = if is_quiet { now.saturating_sub(self.since) } else { 0 };
         let is_new = !self.is_begun || head.episode != self.episode || lost_for > KEPT;
         let goes_on = !is_new && !matches!(self.state, LiveState::Ended);
         if goes_on && is_stepped {
@@ -752,9 +747,12 @@ impl LiveSession {
         decider: &mut LiveDecider,
         out: &mut impl SayTo,
     ) {
-        let Ok(report) = HeardReport::read(report) else {
-            self.counts.refused += 1;
-            return;
+        let report = match HeardReport::read(report) {
+            Ok(report) => report,
+            Err(fault) => {
+                let told = format!("a report of what was heard cannot be read: {fault}");
+                return self.note_refusal(told);
+            }
         };
         let is_about_this = report.utterance == self.utterance.number;
         let Some(speech) = self.notifier.speech().filter(|_| is_about_this) else { return };

@@ -520,6 +520,13 @@ fn a_restarted_notifier_goes_on_with_the_same_decisions() {
     late.seq = bench.seq;
     late.observe();
     assert_eq!((late.told.says[0].1.step, late.session.last_seq()), (0, bench.seq + 1));
+    // Who comes back long after the restart finds nothing of the past either.
+    let mut slow = Bench::open(true, &question);
+    assert!(slow.session.restore(bench.session.snapshot()));
+    slow.seq = bench.seq;
+    slow.until(31_000);
+    slow.observe();
+    assert_eq!((slow.told.says[0].1.step, slow.session.last_seq()), (0, bench.seq + 1));
     let mut other = bench.session.snapshot();
     other.recurrent.push(0.0);
     assert!(!restarted.session.restore(other));
@@ -612,6 +619,30 @@ fn an_unknown_fact_is_counted_and_told_once_with_the_one_that_was_meant() {
     assert!(second.starts_with("there is no fact `quite_another`. Known: "), "{second}");
     assert_eq!(bench.last_status()["unknown_facts"], 3);
     assert_eq!(bench.session.counts().taken, 3, "the observations count all the same");
+}
+
+#[test]
+fn what_is_too_long_and_a_report_that_cannot_be_read_are_told() {
+    let mut bench = Bench::open(true, &json!({}));
+    bench.observe();
+    bench.until(100);
+    bench.arrive(&ArrivalEncoding::TooLong(70_000), b"", None);
+    bench.until(200);
+    let report = b"{\"utterance\":1,\"event\":\"sad\"}";
+    bench.session.hear(bench.told.now, report, &mut bench.decider, &mut bench.told);
+    bench.until(300);
+    let told = bench.told_of_messages();
+    let [long, unread] = &told[..] else { panic!("{told:?}") };
+    assert_eq!(long, "the observation has 70000 bytes, with what is beside it; 65536 at most");
+    let start =
+        "a report of what was heard cannot be read: `event` has to be start, word, end or cut";
+    assert!(unread.starts_with(start), "{unread}");
+    assert_eq!(bench.session.refusals(), (2, unread.as_str()));
+    // Reports end no session, however many there are.
+    for _ in 0..2 * MAX_REFUSED {
+        bench.session.hear(bench.told.now, b"?", &mut bench.decider, &mut bench.told);
+    }
+    assert_ne!(bench.state(), LiveState::Closed);
 }
 
 #[test]

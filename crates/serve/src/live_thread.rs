@@ -1,6 +1,7 @@
 //! A thread that speaks for up to 16 sessions: it sleeps until something arrives or is due, and never waits for anything else.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -12,8 +13,9 @@ use tracing::debug;
 
 use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
-use crate::live_session::{LiveSession, LiveSnapshot, ObservationBytes, SayTo};
+use crate::live_session::{LiveSession, LiveSnapshot, ObservationBytes};
 use crate::robot::RobotWriter;
+use crate::say::SayTo;
 use crate::status::{LiveState, Silence};
 use crate::taken::{TakenInput, TakenLog};
 use crate::working_policy::LiveDecider;
@@ -34,8 +36,8 @@ pub(crate) enum ThreadOrder {
     Add(Box<Hosted>),
     /// This start of a client has appeared or disappeared.
     Presence(ClientName, Incarnation, bool),
-    /// A client's session is replaced by another one.
-    Remove(ClientName),
+    /// A client's session is replaced by another one, or ends for this reason.
+    Remove(ClientName, Option<Silence>),
 }
 
 #[derive(Debug)]
@@ -45,13 +47,13 @@ pub(crate) enum ThreadReport {
         client: ClientName,
         id: String,
         state: LiveState,
-        /// How many observations were refused, and why the last one was.
+        /// How many messages were refused, and why the last one was.
         refusals: (u64, String),
         /// How it could go on in another process.
         snapshot: Box<LiveSnapshot>,
     },
-    /// A session is over.
-    Over { client: ClientName, id: String },
+    /// A session is over: closed, or its client was lost for long.
+    Over { client: ClientName, id: String, is_closed: bool },
 }
 
 /// A session with its client.
@@ -64,6 +66,8 @@ pub(crate) struct Hosted {
     /// What publishes the same on a robot's own keys.
     pub(crate) writer: Option<RobotWriter>,
     pub(crate) taken: TakenLog,
+    /// The number after which the client has to count on, for the answer to a client that asks again.
+    pub(crate) last_seq: Arc<AtomicU64>,
 }
 
 impl Hosted {
@@ -205,7 +209,7 @@ impl Loop {
             loop {
                 match orders.try_recv() {
                     Ok(ThreadOrder::Add(hosted)) => self.hosted.push(*hosted),
-                    Ok(ThreadOrder::Remove(client)) => self.remove(&client),
+                    Ok(ThreadOrder::Remove(client, why)) => self.remove(&client, why.as_ref()),
                     Ok(ThreadOrder::Presence(client, start, is_here)) => {
                         self.note_presence(&client, start, is_here);
                     }
@@ -221,14 +225,18 @@ impl Loop {
         }
     }
 
-    /// Cuts what a session says and forgets it. Its status is not published: the client has another session by now.
-    fn remove(&mut self, client: &ClientName) {
+    /// Cuts what a session says and forgets it. Without a reason its status is not published: the client has another session by
+    /// now.
+    fn remove(&mut self, client: &ClientName, why: Option<&Silence>) {
         let (now, clock, loudspeaker) = (self.clock.now(), self.clock, self.loudspeaker.as_ref());
         self.hosted.retain_mut(|hosted| {
             let is_removed = hosted.client == *client;
             if is_removed {
                 let (session, mut out) = hosted.parts(clock, loudspeaker);
-                session.break_off(now, &mut out);
+                match why {
+                    Some(why) => session.close(now, why.clone(), &mut out),
+                    None => session.break_off(now, &mut out),
+                }
             }
             !is_removed
         });
@@ -251,7 +259,8 @@ impl Loop {
             }
             let (client, id) = (hosted.client.clone(), hosted.session.id().to_owned());
             // Without room it is reported at the next look: nothing else frees the session's place.
-            reports.try_send(ThreadReport::Over { client, id }).is_err()
+            let is_closed = hosted.session.state() == LiveState::Closed;
+            reports.try_send(ThreadReport::Over { client, id, is_closed }).is_err()
         });
         if now >= self.snapshots_due {
             self.snapshots_due = now + SNAPSHOT_EVERY;
@@ -321,7 +330,8 @@ fn serve(
         session.arrive(now, at, bytes, decider, &mut out);
         session.record_latency(clock.now().saturating_sub(at));
         if session.counts().taken > n_before {
-            let is_other_clock = session.is_other_clock();
+            let (is_other_clock, last_seq) = (session.is_other_clock(), session.last_seq());
+            hosted.last_seq.store(last_seq, Ordering::Relaxed);
             hosted.tell_robot_observation();
             hosted.tell_taken(now, TakenInput::Observation { at, is_other_clock });
         }

@@ -11,6 +11,7 @@
 
 use std::fmt;
 
+use leadtime_proto::limits::MAX_LIVE_BYTES;
 use leadtime_proto::text::quoted;
 use leadtime_taxonomy::MAX_FACTS;
 use serde::Deserialize;
@@ -26,6 +27,8 @@ use crate::robot::ros2::ATTACHMENT;
 pub const MAX_NUMBER: f64 = 1e9;
 /// The latest time that an observation may have, in seconds: some thirty years.
 const MAX_TIME: f64 = 1e9;
+/// The largest number of an observation: room is left to count on from it, also for one that counts nanoseconds.
+const MAX_SEQ: u64 = 1 << 62;
 /// The longest name of a fact, in bytes.
 const MAX_FACT: usize = 64;
 /// Bytes attached to a raw observation.
@@ -66,6 +69,10 @@ pub enum BadObservation {
         brief(*value)
     )]
     Number { place: usize, value: f64 },
+    #[error("`seq` is {0}; allowed: 0 to {MAX_SEQ}")]
+    Sequence(u64),
+    #[error("`seq` leaps to {0}, far beyond the one before: it counts observations")]
+    Leap(u64),
     #[error("`t` is {}; allowed: 0 to 1e9 seconds", brief(*.0))]
     Time(f64),
     #[error(
@@ -88,6 +95,8 @@ pub enum BadObservation {
         "the checksum of the observation is wrong: it was damaged on the way, or is not CRC-32C over bytes 0 to 32 and the numbers"
     )]
     Checksum,
+    #[error("the observation has {0} bytes, with what is beside it; {MAX_LIVE_BYTES} at most")]
+    TooLong(usize),
     #[error("the raw observation has {0} bytes, not 4 for each number")]
     RawLength(usize),
     #[error("an observation of encoding `{}`; known: application/json, application/octet-stream;leadtime.obs/1", quoted(.0))]
@@ -299,6 +308,9 @@ impl LiveObservation {
         let is_odd = |value: &f32| !value.is_finite() || f64::from(value.abs()) > MAX_NUMBER;
         if let Some(place) = self.values.iter().position(is_odd) {
             return Err(BadObservation::Number { place, value: self.values[place].into() });
+        }
+        if self.head.seq > MAX_SEQ {
+            return Err(BadObservation::Sequence(self.head.seq));
         }
         let t = self.head.t;
         if !(0.0..=MAX_TIME).contains(&t) {

@@ -1,12 +1,15 @@
 //! What a client asks for a session with, and what it is answered.
 
+use leadtime_proto::text::quoted;
 use leadtime_sims::{Fact, Quantity};
 use leadtime_voice::VoiceBook;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use thiserror::Error;
 
-use crate::json_fault::{FieldRule, JsonFault, described, no_count, no_number, no_text};
+use crate::json_fault::{
+    FieldRule, JsonFault, no_choice, no_count, no_number, no_small_count, no_text, or_null,
+};
 use crate::observation::brief;
 use crate::robot::ObservationSource;
 use crate::working_policy::{PolicyOrigin, WorkingPolicy, told_voice};
@@ -85,7 +88,7 @@ struct OpenRequest {
 
 /// What each key of a question has to be.
 const RULES: [FieldRule; 13] = [
-    FieldRule::required("protocol", "the version of the messages, 1", no_count),
+    FieldRule::required("protocol", "the version of the messages, 1", no_small_count),
     FieldRule::required("domain", "the name of the task, as a text", no_text),
     FieldRule::optional("obs_dim", "the number of an observation's numbers", |it| {
         or_null(it, no_count)
@@ -105,17 +108,6 @@ const RULES: [FieldRule; 13] = [
     }),
     FieldRule::optional("encoding", "json or binary", |it| no_choice(it, &["json", "binary"])),
 ];
-
-/// As a rule of its own, of a key that counts as left out where it is `null`.
-fn or_null(value: &Value, misfit: fn(&Value) -> Option<String>) -> Option<String> {
-    if value.is_null() { None } else { misfit(value) }
-}
-
-/// Describes a value that is not one of the choices.
-fn no_choice(value: &Value, choices: &[&str]) -> Option<String> {
-    let is_choice = value.as_str().is_some_and(|text| choices.contains(&text));
-    (!is_choice).then(|| format!("it is {}", described(value)))
-}
 
 /// What a session is to be, checked.
 #[derive(Clone, Debug, PartialEq)]
@@ -153,7 +145,8 @@ pub enum OpenRefusal {
     #[error("protocol {0} is asked for; this notifier speaks protocol {LIVE_PROTOCOL}")]
     Protocol(u32),
     #[error(
-        "{WRONG_TASK}{served}, with {served_dim} numbers per observation; the client is of {asked}{}",
+        "{WRONG_TASK}{served}, with {served_dim} numbers per observation; the client is of {}{}",
+        quoted(.asked),
         asked_dim.map_or(String::new(), |n| format!(", with {n}"))
     )]
     Task { served: String, served_dim: usize, asked: String, asked_dim: Option<usize> },
@@ -217,14 +210,16 @@ impl SessionPlan {
         require("lost_after", lost_after, stale_after, MAX_PATIENCE)?;
         let wrong = |key, given: &str, allowed: &str| OpenRefusal::Setting {
             key,
-            given: leadtime_proto::text::quoted(given),
+            given: quoted(given),
             allowed: allowed.to_owned(),
         };
         if let Some(words) = asked.words.filter(|words| words != "shipped") {
             return Err(wrong("words", &words, "shipped"));
         }
         let start = |text: &String| {
-            let number = u64::from_str_radix(text, 16).ok().filter(|_| text.len() == 16);
+            // A number might have a sign, too.
+            let is_digits = text.len() == 16 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+            let number = u64::from_str_radix(text, 16).ok().filter(|_| is_digits);
             number.ok_or_else(|| wrong("incarnation", text, "16 hexadecimal digits"))
         };
         let incarnation = asked.incarnation.as_ref().map(start).transpose()?;
@@ -442,6 +437,23 @@ mod tests {
             told.ends_with("`clock` has to be timer, observation or word; it is \"tmer\""),
             "{told}"
         );
+    }
+
+    #[test]
+    fn a_refusal_quotes_the_client_in_a_few_printable_words() {
+        let policy = policy("lander");
+        let told = |key: &str, value: Value| {
+            let mut question = json!({"protocol": 1, "domain": "lander"});
+            question[key] = value;
+            let plan = SessionPlan::read(question.to_string().as_bytes(), &policy, 1);
+            plan.unwrap_err().to_string()
+        };
+        let long = told("domain", format!("\u{1b}[31m{}", "x".repeat(60_000)).into());
+        assert!(long.len() < 300 && !long.contains('\u{1b}'), "{long}");
+        let signed = told("incarnation", "+00c0ffee00c0ffe".into());
+        assert!(signed.contains("allowed: 16 hexadecimal digits"), "{signed}");
+        let large = told("protocol", 4_294_967_296_u64.into());
+        assert!(large.contains("`protocol` has to be the version of the messages, 1"), "{large}");
     }
 
     #[test]

@@ -10,6 +10,8 @@
 //!   8  heard u8         9  flags u8 (1 = last)    10  step u32    14  seq u64    22  word u16
 //! ```
 
+use std::sync::Arc;
+
 use leadtime_taxonomy::words;
 use leadtime_voice::SpokenSentence;
 use serde::ser::{SerializeMap as _, SerializeSeq as _};
@@ -21,6 +23,18 @@ use crate::open::SayForm;
 pub const RAW_SAY: usize = 24;
 /// The flag of the last event about an observation.
 const LAST: u8 = 1;
+
+/// Where a session's events go.
+pub trait SayTo {
+    /// Puts an event of what is said, JSON or raw as the client wants it.
+    fn say(&mut self, bytes: &[u8]);
+    /// Puts a status, as JSON.
+    fn status(&mut self, bytes: &[u8]);
+    /// Plays a sentence, if there is a loudspeaker; what it plays is cut.
+    fn play(&mut self, _sentence: &Arc<SpokenSentence>) {}
+    /// Cuts what is played.
+    fn hush(&mut self) {}
+}
 
 /// What happens to an utterance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder, RobotKeys};
 use leadtime_proto::phrase::counted;
@@ -18,7 +19,7 @@ use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
 use crate::open::{OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan};
 use crate::robot::{ObservationSource, RobotSession, RobotWriter};
-use crate::status::LiveState;
+use crate::status::{LiveState, Silence};
 use crate::taken::TakenLog;
 use crate::working_policy::{LiveDecider, PolicyOrigin, WorkingPolicy};
 
@@ -28,6 +29,9 @@ pub const MAX_SESSIONS: usize = 64;
 const MAX_REPORTS: usize = 1_024;
 /// Between two lines in the log about the refused observations of one session, in nanoseconds.
 const REFUSALS_PAUSE: u64 = 60_000_000_000;
+
+/// What a session does whose client says nothing.
+const QUIET: [LiveState; 3] = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
 
 /// Where the state of sessions is kept, so that a restarted notifier goes on with them.
 pub trait StateStore: Send + Sync + fmt::Debug {
@@ -40,6 +44,13 @@ pub trait StateStore: Send + Sync + fmt::Debug {
 
     /// Returns what was kept.
     fn find(&self, client: &ClientName) -> Option<Vec<u8>>;
+
+    /// Forgets what was kept, if anything was: the session has ended for good.
+    ///
+    /// # Errors
+    ///
+    /// What the system reports if the state cannot be removed.
+    fn forget(&self, client: &ClientName) -> std::io::Result<()>;
 }
 
 /// How a notifier works.
@@ -75,8 +86,11 @@ struct Registered {
     thread: usize,
     state: LiveState,
     question: Vec<u8>,
-    answer: Vec<u8>,
-    /// The same answer as a client is given it that has room for everything, for recorders.
+    /// What was answered, but for the number after which the client has to count on.
+    plan: SessionPlan,
+    /// That number, by the session's thread.
+    last_seq: Arc<AtomicU64>,
+    /// The answer as a client is given it that has room for everything, for recorders.
     whole: Vec<u8>,
     /// The key and the form of a robot's observations.
     place: Option<String>,
@@ -215,6 +229,10 @@ impl LiveService {
     fn take(&mut self, event: LiveEvent) {
         match event {
             LiveEvent::Open { client, question, responder } => {
+                // Who asks because the session has ended asks for another one.
+                while let Ok(report) = self.reports.try_recv() {
+                    self.note(report);
+                }
                 self.answer(&client, question, responder);
             }
             LiveEvent::Describe(client, responder) => {
@@ -280,13 +298,15 @@ impl LiveService {
         if let Some(registered) = self.open.get(client) {
             let is_same = start.is_some() && start == registered.incarnation;
             if is_same && registered.question == question {
-                return Ok(registered.answer.clone());
+                let last_seq = registered.last_seq.load(Ordering::Relaxed);
+                let (id, plan) = (&registered.id, &registered.plan);
+                return Ok(self.answer_of(id, plan, last_seq)?);
             }
             if !is_same && self.is_there(client, registered) {
                 return Err(OpenRefusal::Taken(client.to_string()));
             }
             let thread = registered.thread;
-            self.threads[thread].order(ThreadOrder::Remove(client.clone()));
+            self.threads[thread].order(ThreadOrder::Remove(client.clone(), None));
             self.open.remove(client);
         }
         if self.open.len() >= self.settings.max_sessions && !self.make_room() {
@@ -326,11 +346,9 @@ impl LiveService {
         let (session, notes) = self.session(client, &question, place.as_deref(), plan.clone());
         let taken = TakenLog::new(self.own, session.counts().taken > 0);
         let answered = SessionPlan { notes, ..plan.clone() };
-        let answer = SessionAnswer::new(session.id(), &answered, &self.policy, session.last_seq());
-        let answer = serde_json::to_vec(&answer)?;
-        let whole = SessionPlan { form: SayForm::Json, ..answered };
-        let whole = SessionAnswer::new(session.id(), &whole, &self.policy, session.last_seq());
-        let whole = serde_json::to_vec(&whole)?;
+        let answer = self.answer_of(session.id(), &answered, session.last_seq())?;
+        let whole = SessionPlan { form: SayForm::Json, ..answered.clone() };
+        let whole = self.answer_of(session.id(), &whole, session.last_seq())?;
         let thread = self.idlest_thread();
         let is_raw = plan.form == SayForm::Binary;
         let (keys, writer) = robot.unzip();
@@ -339,7 +357,17 @@ impl LiveService {
         info!(%client, session = id, "a session is open");
         let is_standing = writer.is_some();
         let name = client.clone();
-        let hosted = Hosted { client: name, incarnation: start, session, port, writer, taken };
+        let last_seq = Arc::new(AtomicU64::new(session.last_seq()));
+        let told = Arc::clone(&last_seq);
+        let hosted = Hosted {
+            client: name,
+            incarnation: start,
+            session,
+            port,
+            writer,
+            taken,
+            last_seq: told,
+        };
         if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
             return Err(OpenRefusal::Full(self.open.len()));
         }
@@ -350,7 +378,8 @@ impl LiveService {
             thread,
             state,
             question,
-            answer: answer.clone(),
+            plan: answered,
+            last_seq,
             whole,
             place,
             is_standing,
@@ -360,12 +389,25 @@ impl LiveService {
         Ok(answer)
     }
 
-    /// Ends the session of a client that is not there any more; `false` if all are.
+    /// Returns the answer to a client, as JSON.
+    fn answer_of(
+        &self,
+        id: &str,
+        plan: &SessionPlan,
+        last_seq: u64,
+    ) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&SessionAnswer::new(id, plan, &self.policy, last_seq))
+    }
+
+    /// Ends the session of a client that is not there any more; `false` if all are. One that says something is the last to go.
     fn make_room(&mut self) -> bool {
-        let mut gone = self.open.iter().filter(|(client, it)| !self.is_there(client, it));
-        let Some(client) = gone.next().map(|(client, _)| client.clone()) else { return false };
+        let gone = self.open.iter().filter(|(client, it)| !self.is_there(client, it));
+        let gone = gone.min_by_key(|(_, it)| !QUIET.contains(&it.state));
+        let Some(client) = gone.map(|(client, _)| client.clone()) else { return false };
         if let Some(registered) = self.open.remove(&client) {
-            self.threads[registered.thread].order(ThreadOrder::Remove(client));
+            info!(%client, session = registered.id, "a session gives up its place to another client");
+            let order = ThreadOrder::Remove(client, Some(Silence::NoPlace));
+            self.threads[registered.thread].order(order);
         }
         true
     }
@@ -380,7 +422,13 @@ impl LiveService {
     ) -> (LiveSession, Vec<String>) {
         let mut notes = plan.notes.clone();
         let kept = self.settings.store.as_ref().and_then(|store| store.find(client));
-        let kept: Option<KeptSession> = kept.and_then(|bytes| read_snapshot(&bytes).ok());
+        let kept: Option<KeptSession> = kept.and_then(|bytes| {
+            let read = read_snapshot(&bytes);
+            read.inspect_err(|error| {
+                warn!(%client, %error, "the kept state of a session cannot be read; the client gets a new one");
+            })
+            .ok()
+        });
         let is_same = |kept: &KeptSession| {
             let is_known = plan.incarnation.is_some() || plan.source != ObservationSource::Client;
             let is_policy = kept.origin == self.policy.origin
@@ -409,6 +457,14 @@ impl LiveService {
         (make(format!("{:08x}", id as u32), plan), notes)
     }
 
+    /// Forgets the state of a session that was closed: with what closed it, it would be closed again.
+    fn forget(&self, client: &ClientName) {
+        let Some(store) = &self.settings.store else { return };
+        if let Err(error) = store.forget(client) {
+            warn!(%client, %error, "the state of a closed session cannot be removed; the client may get that session again");
+        }
+    }
+
     /// Returns what the wall clock shows when the notifier's own clock shows `now`, in nanoseconds.
     fn unix(&self, now: u64) -> i64 {
         self.epoch.saturating_add(signed(now))
@@ -428,8 +484,7 @@ impl LiveService {
             return self.present.get(client).is_some_and(|starts| starts.contains(&start));
         }
         // One that shows no presence is there as long as it says something.
-        let quiet = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
-        !quiet.contains(&registered.state)
+        !QUIET.contains(&registered.state)
     }
 
     fn idlest_thread(&self) -> usize {
@@ -439,10 +494,13 @@ impl LiveService {
 
     fn note(&mut self, report: ThreadReport) {
         match report {
-            ThreadReport::Over { client, id } => {
+            ThreadReport::Over { client, id, is_closed } => {
                 if self.open.get(&client).is_some_and(|registered| registered.id == id) {
                     self.open.remove(&client);
                     info!(%client, session = id, "a session is over");
+                    if is_closed {
+                        self.forget(&client);
+                    }
                 }
             }
             ThreadReport::State { client, id, state, refusals, snapshot } => {
@@ -455,7 +513,7 @@ impl LiveService {
                 registered.state = state;
                 let (n_refused, reason) = refusals;
                 if let Some(n) = registered.refusals.look(now, n_refused) {
-                    let n = counted(n, "observation");
+                    let n = counted(n, "message");
                     warn!(%client, session = id, "{n} refused; of the last one: {reason}");
                 }
                 let Some(store) = &self.settings.store else { return };

@@ -56,6 +56,8 @@ pub enum Silence {
     Refused(u32, String),
     /// The loudspeaker is gone.
     Mute,
+    /// Another client was given the place, because this one was not there.
+    NoPlace,
     /// The notifier ends its work.
     Closing,
 }
@@ -83,6 +85,9 @@ impl fmt::Display for Silence {
                 )
             }
             Self::Mute => f.write_str("the loudspeaker is gone; what is said goes on in text"),
+            Self::NoPlace => f.write_str(
+                "another client was given the place, as this one was not there; open a new session",
+            ),
             Self::Closing => f.write_str("the notifier ends"),
         }
     }

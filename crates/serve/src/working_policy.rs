@@ -8,7 +8,7 @@ use leadtime_policy::{ActionDistribution, Parameters, Policy};
 use leadtime_proto::{Mask, PolicySpec};
 use leadtime_sims::notifier::Session;
 use leadtime_sims::{Environment, Fact, Quantity};
-use leadtime_taxonomy::{Taxonomy, Topic};
+use leadtime_taxonomy::{Taxonomy, TaxonomyError, Topic};
 use leadtime_voice::VoiceBook;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -24,6 +24,8 @@ pub enum UnfitPolicy {
     NoNotifier(String),
     #[error("there are no sentences for the topics of `{0}`; --voice none works without words")]
     NoWords(String),
+    #[error(transparent)]
+    Words(#[from] TaxonomyError),
     #[error(transparent)]
     Policy(#[from] leadtime_policy::Error),
 }
@@ -91,8 +93,8 @@ impl WorkingPolicy {
     ///
     /// # Errors
     ///
-    /// [`UnfitPolicy`] if the task has no listener, if the words are about other topics, or if the parameters are of
-    /// another network.
+    /// [`UnfitPolicy`] if the task has no listener, if the words are about other topics or presuppose what the task does not
+    /// tell, or if the parameters are of another network.
     pub fn new(
         domain: &str,
         environment: &dyn Environment,
@@ -103,14 +105,17 @@ impl WorkingPolicy {
     ) -> Result<Self, UnfitPolicy> {
         let session = environment.session();
         let session = session.ok_or_else(|| UnfitPolicy::NoNotifier(domain.to_owned()))?;
+        let known_facts = environment.facts();
         if let Some(taxonomy) = &taxonomy {
             let about = taxonomy.expect_topics(session.topics());
             about.map_err(|_other| UnfitPolicy::NoWords(domain.to_owned()))?;
+            // A sentence that presupposes anything else would never be said.
+            let told: Vec<&str> = known_facts.iter().map(|fact| fact.name).collect();
+            taxonomy.expect_facts(&told)?;
         }
         let is_presupposed = |fact: &Fact| {
             taxonomy.as_ref().is_some_and(|it| it.facts().iter().any(|name| name == fact.name))
         };
-        let known_facts = environment.facts();
         let facts = known_facts.iter().copied().filter(is_presupposed).collect();
         let mut observation = environment.describe().observation.frame;
         observation.truncate(session.obs_dim());

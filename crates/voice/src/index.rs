@@ -120,7 +120,7 @@ impl SoundIndex {
         let words = indexed.words.iter().map(|&[begin, end]| WordTime { begin, end }).collect();
         let is_estimated = indexed.estimated;
         let spoken = SpokenSentence { text: text.clone(), words, is_estimated, sound };
-        let length = indexed.samples as u64 * 1_000 / u64::from(self.rate) + 1;
+        let length = (indexed.samples as u64).saturating_mul(1_000) / u64::from(self.rate) + 1;
         if !spoken.has_words_in_order() || u64::from(spoken.end()) > length {
             return Err(format!("the times of `{text}` do not fit its words"));
         }
@@ -151,6 +151,17 @@ mod tests {
         );
         let told = read.sentences(Some(&all[..20_000])).unwrap_err();
         assert_eq!(told, "the sound ends before `Go down now.`");
+    }
+
+    #[test]
+    fn a_sentence_of_any_length_is_read() {
+        let (index, _) = SoundIndex::join("me".to_owned(), 16_000, &[spoken("Go up.", 7)]);
+        // In milliseconds so many samples are more than a number holds.
+        let samples = format!("\"samples\":{}", usize::MAX);
+        let text = index.write().replacen("\"samples\":16000", &samples, 1);
+        let index = SoundIndex::read(&text).unwrap();
+        index.sentences(None).unwrap();
+        assert_eq!(index.sentences(Some(&[0])).unwrap_err(), "the sound ends before `Go up.`");
     }
 
     #[test]

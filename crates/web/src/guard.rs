@@ -99,7 +99,7 @@ impl Guard {
 
     /// Lays the guard around routes, unknown paths included.
     pub fn protect(self, router: Router) -> Router {
-        router.layer(middleware::from_fn_with_state(Arc::new(self), guarded))
+        router.fallback(nothing_here).layer(middleware::from_fn_with_state(Arc::new(self), guarded))
     }
 
     fn check(&self, request: &Request) -> Result<(), Objection> {
@@ -117,6 +117,7 @@ impl Guard {
             () if url > MAX_URL_BYTES => Err(Objection::Length),
             () if !self.knows(&host) => Err(Objection::ForeignHost),
             () if origin.is_some() && !own() => Err(Objection::ForeignOrigin),
+            () if is_foreign_fetch(headers) => Err(Objection::ForeignOrigin),
             () if is_open(request.uri().path()) || self.token.is_none_or(has_token) => Ok(()),
             () => Err(Objection::Token),
         }
@@ -143,6 +144,23 @@ fn host_of(request: &Request) -> Option<Authority> {
         (None, _) => request.uri().authority().cloned(),
         _ => None,
     }
+}
+
+/// Returns whether a browser says that a page of another site asks. Where that page wants no answer that it can read, the browser
+/// names no origin. Who follows a link is a visitor and welcome.
+fn is_foreign_fetch(headers: &HeaderMap) -> bool {
+    let said = |name: &str| headers.get(name).map_or(&b""[..], HeaderValue::as_bytes);
+    let is_foreign = [&b"cross-site"[..], b"same-site"].contains(&said("sec-fetch-site"));
+    let is_visit = said("sec-fetch-mode") == b"navigate" && said("sec-fetch-dest") == b"document";
+    is_foreign && !is_visit
+}
+
+/// Answers where nothing is.
+async fn nothing_here() -> (StatusCode, &'static str) {
+    (
+        StatusCode::NOT_FOUND,
+        "nothing is at this path: look at the address, or ask for one that the program names\n",
+    )
 }
 
 async fn guarded(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
@@ -253,6 +271,40 @@ mod tests {
         {
             assert_eq!(status(&guard, &asked(origin), "GET", "/").await, 403, "{origin}");
         }
+    }
+
+    #[tokio::test]
+    async fn a_page_of_another_site_that_hides_its_origin_is_refused_and_a_link_is_not() {
+        let guard = Guard::new();
+        let asked = |site, mode, dest| {
+            [
+                ("host", "localhost:8080"),
+                ("sec-fetch-site", site),
+                ("sec-fetch-mode", mode),
+                ("sec-fetch-dest", dest),
+            ]
+        };
+        for (site, mode, dest, expected) in [
+            ("cross-site", "no-cors", "empty", 403),
+            ("cross-site", "no-cors", "image", 403),
+            ("same-site", "no-cors", "script", 403),
+            ("cross-site", "navigate", "iframe", 403),
+            ("cross-site", "navigate", "document", 200),
+            ("same-origin", "cors", "empty", 200),
+            ("none", "navigate", "document", 200),
+        ] {
+            let found = status(&guard, &asked(site, mode, dest), "GET", "/data").await;
+            assert_eq!(found, expected, "{site} {mode} {dest}");
+        }
+    }
+
+    #[tokio::test]
+    async fn where_nothing_is_a_sentence_says_so() {
+        let host = [("host", "localhost")];
+        let answer = answer(&Guard::new(), &host, "GET", "/nothing").await;
+        assert_eq!(answer.status().as_u16(), 404);
+        let bytes = axum::body::to_bytes(answer.into_body(), 1_000).await.unwrap();
+        assert!(bytes.starts_with(b"nothing is at this path"), "{bytes:?}");
     }
 
     #[tokio::test]

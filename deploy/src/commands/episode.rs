@@ -19,7 +19,11 @@ pub(super) fn voice(
 ) -> Result<Option<Voice>, Failure> {
     let Some(name) = database else { return Ok(evaluation::shipped_voice(tasks, config)) };
     let taxonomy = taxonomy::database(name)?;
-    let topics = tasks.topics(&config.evaluation.task);
+    let task = &config.evaluation.task;
+    let topics = tasks.topics(task);
+    let told: Vec<&str> = tasks.facts(task).iter().map(|fact| fact.name).collect();
+    let about = taxonomy.expect_topics(&topics).and_then(|()| taxonomy.expect_facts(&told));
+    about.with_context(|| name.display().to_string()).blame(ExitCode::WrongInput)?;
     let voice = Voice::new(taxonomy, &topics).with_context(|| name.display().to_string());
     Ok(Some(voice.blame(ExitCode::WrongInput)?))
 }

@@ -1,6 +1,7 @@
 //! `leadtime serve`: a policy at work, speaking to robots, cars and simulators over the network.
 
 use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -256,11 +257,26 @@ impl StateDirectory {
 }
 
 impl StateStore for StateDirectory {
-    fn keep(&self, client: &ClientName, state: &[u8]) -> std::io::Result<()> {
+    fn keep(&self, client: &ClientName, state: &[u8]) -> io::Result<()> {
         write_atomically(&self.file(client), state)
     }
 
     fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
-        fs::read(self.file(client)).ok()
+        let file = self.file(client);
+        let read = fs::read(&file);
+        if let Err(error) = &read
+            && error.kind() != ErrorKind::NotFound
+        {
+            let file = file.display();
+            tracing::warn!("{file} cannot be read ({error}); `{client}` gets a new session");
+        }
+        read.ok()
+    }
+
+    fn forget(&self, client: &ClientName) -> io::Result<()> {
+        match fs::remove_file(self.file(client)) {
+            Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
+            Ok(()) | Err(_) => Ok(()),
+        }
     }
 }

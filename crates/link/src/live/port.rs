@@ -34,6 +34,8 @@ pub enum ArrivalEncoding {
     Binary,
     /// Something else, as it is called.
     Other(String),
+    /// Anything of so many bytes, more than [`MAX_LIVE_BYTES`]: they are not kept.
+    TooLong(usize),
 }
 
 /// An observation as it arrived.
@@ -44,13 +46,27 @@ pub struct Arrival {
     encoding: Encoding,
     payload: ZBytes,
     attachment: Option<ZBytes>,
+    /// How many bytes it had, where they were too many to keep.
+    excess: Option<usize>,
 }
 
 impl Arrival {
     pub(super) fn new(sample: &Sample) -> Self {
         let at = Instant::now();
         let (payload, attachment) = (sample.payload().clone(), sample.attachment().cloned());
-        Self { at, encoding: sample.encoding().clone(), payload, attachment }
+        Self { at, encoding: sample.encoding().clone(), payload, attachment, excess: None }
+    }
+
+    /// Keeps of a message that is too long only that it came, so that its sender can be told.
+    fn within_limit(sample: &Sample) -> Self {
+        let n_beside = sample.attachment().map_or(0, ZBytes::len);
+        let n_bytes = sample.payload().len() + n_beside;
+        if n_bytes <= MAX_LIVE_BYTES {
+            return Self::new(sample);
+        }
+        let (at, encoding) = (Instant::now(), sample.encoding().clone());
+        let (payload, attachment) = (ZBytes::new(), None);
+        Self { at, encoding, payload, attachment, excess: Some(n_bytes) }
     }
 
     /// Returns what its sample says of its form.
@@ -61,7 +77,9 @@ impl Arrival {
             Encoding::ZENOH_BYTES,
             Encoding::ZENOH_STRING,
         ];
-        if plain.contains(&self.encoding) {
+        if let Some(n_bytes) = self.excess {
+            ArrivalEncoding::TooLong(n_bytes)
+        } else if plain.contains(&self.encoding) {
             ArrivalEncoding::Json
         } else if self.encoding == raw() {
             ArrivalEncoding::Binary
@@ -90,7 +108,7 @@ pub(super) fn raw() -> Encoding {
 #[derive(Debug, Default)]
 struct Inbox {
     newest: Mutex<Option<Arrival>>,
-    /// How many were replaced by a newer one, or were too large.
+    /// How many were replaced by a newer one.
     n_overwritten: AtomicU64,
 }
 
@@ -129,11 +147,7 @@ impl LivePort {
         let own = LiveTopic::Observations.key(service, client).to_string();
         let observations =
             subscribe(session, robot.map_or(&own, |robot| &robot.observations), move |sample| {
-                if sample.payload().len() > MAX_LIVE_BYTES {
-                    arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
-                    return;
-                }
-                let arrival = Arrival::new(&sample);
+                let arrival = Arrival::within_limit(&sample);
                 if lock(&arrivals.newest).replace(arrival).is_some() {
                     arrivals.n_overwritten.fetch_add(1, Ordering::Relaxed);
                 }

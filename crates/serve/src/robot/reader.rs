@@ -16,6 +16,9 @@ use crate::observation::{BadObservation, LiveObservation, ObservationHead};
 use crate::robot::form::RobotForm;
 use crate::robot::ros2::SourceMark;
 
+/// By how much the number of a robot that counts itself may rise at once.
+const MAX_LEAP: i128 = 1 << 53;
+
 /// What a session knows of the observation before.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Arrived {
@@ -71,7 +74,7 @@ impl RobotReader {
         let is_numbered = self.form.read(into, payload)?;
         let is_quiet = last.at.is_none_or(|before| at.saturating_sub(before) > self.patience);
         if is_numbered {
-            return Ok(self.count_on(&mut into.head, last, is_quiet));
+            return self.count_on(&mut into.head, last, is_quiet);
         }
         let mark = match (self.form, beside) {
             (RobotForm::Ros2, Some(beside)) => {
@@ -111,20 +114,28 @@ impl RobotReader {
     }
 
     /// Raises the number and the time of a robot that counts itself. Once it was silent and is behind where it was, it has begun
-    /// anew; returns whether that is so.
-    fn count_on(&mut self, head: &mut ObservationHead, last: Arrived, is_quiet: bool) -> bool {
+    /// anew; returns whether that is so. A leap is no count: after it nothing would be new any more.
+    fn count_on(
+        &mut self,
+        head: &mut ObservationHead,
+        last: Arrived,
+        is_quiet: bool,
+    ) -> Result<bool, BadObservation> {
         let own = (i128::from(head.seq), head.t);
-        let is_behind = last.seq.is_some_and(|before| {
-            own.0 + self.raise.0 <= i128::from(before) || own.1 + self.raise.1 < last.t
-        });
-        let is_first = is_quiet && is_behind;
+        let ahead = last.seq.map(|before| own.0 + self.raise.0 - i128::from(before));
+        let is_leap = ahead.is_some_and(|ahead| ahead > MAX_LEAP);
+        if is_leap && !is_quiet {
+            return Err(BadObservation::Leap(head.seq));
+        }
+        let is_behind = ahead.is_some_and(|ahead| ahead <= 0 || own.1 + self.raise.1 < last.t);
+        let is_first = is_quiet && (is_behind || is_leap);
         if is_first {
             let next = last.seq.map_or(1, |before| before.saturating_add(1));
             self.raise = (i128::from(next) - own.0, last.t - own.1);
         }
         head.seq = u64::try_from((own.0 + self.raise.0).max(0)).unwrap_or(u64::MAX);
         head.t = if is_first { last.t } else { own.1 + self.raise.1 };
-        is_first
+        Ok(is_first)
     }
 }
 
@@ -221,6 +232,22 @@ mod tests {
         // It may count on, and have another clock.
         assert_eq!(arrive(19_000, 9, 0.5), (404, 27.95, true));
         assert_eq!(arrive(19_050, 10, 0.55), (405, 28.0, false));
+    }
+
+    #[test]
+    fn a_number_out_of_all_order_is_not_the_end_of_numbers() {
+        let json = |seq: u64, t: f64| format!(r#"{{"obs":[1,2],"seq":{seq},"t":{t}}}"#);
+        let mut bench = Bench::new(RobotForm::Json);
+        let mut arrive = |ms, seq, t| bench.arrive(ms, json(seq, t).as_bytes(), None);
+        assert_eq!(arrive(0, 4, 0.2), Ok((4, 0.2, false)));
+        let told = arrive(10, u64::MAX, 0.25).unwrap_err();
+        assert_eq!(told, "`seq` is 18446744073709551615; allowed: 0 to 4611686018427387904");
+        let told = arrive(20, 1 << 60, 0.3).unwrap_err();
+        assert!(told.starts_with("`seq` leaps to 1152921504606846976"), "{told}");
+        assert_eq!(arrive(50, 5, 0.35), Ok((5, 0.35, false)));
+        // Who counts there from now on is heard after a silence.
+        assert_eq!(arrive(1_200, 1 << 60, 0.4), Ok((6, 0.35, true)));
+        assert_eq!(arrive(1_250, (1 << 60) + 1, 0.45), Ok((7, 0.4, false)));
     }
 
     #[test]
