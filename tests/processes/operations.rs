@@ -4,10 +4,11 @@
 
 use std::fs;
 use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -125,6 +126,27 @@ fn a_status_page_tells_what_a_run_does_and_whether_it_is_well() {
     let advice = format!("; start a learner or an actor with --status {at}\n");
     place.finish(&["health", &at]).with_code(3).saying(&[&told, &advice]);
     place.finish(&["health localhost"]).with_code(2).saying(&["such as 127.0.0.1:9464"]);
+}
+
+#[test]
+fn health_tells_a_program_that_stands_still_or_is_another_one_from_nobody() {
+    let place = Place::new();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = listener.local_addr().unwrap().to_string();
+    // The system accepts the connection; nobody reads it.
+    let told = format!("what listens at {at} does not answer within 2s");
+    place.finish(&["health", &at]).with_code(3).saying(&[&told]);
+    // The first to be accepted is the one that has given up.
+    drop(listener.accept().unwrap());
+    let other = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let n_read = stream.read(&mut [0; 1024]).unwrap();
+        assert!(n_read > 0);
+        stream.write_all(b"SSH-2.0-OpenSSH_9.6\r\n").unwrap();
+    });
+    let told = format!("what listens at {at} is no status page of a learner or an actor");
+    place.finish(&["health", &at]).with_code(3).saying(&[&told]);
+    other.join().unwrap();
 }
 
 /// Has Python's strict parser read a page, where it is installed.
