@@ -165,7 +165,8 @@ def sentence(error):
            and not frame.filename.startswith(("<", os.path.dirname(os.__file__)))]
     place = (own or frames)[-1:]
     where = "".join(f" ({os.path.basename(frame.filename)}:{frame.lineno})" for frame in place)
-    if isinstance(error, ImportError) and not own:
+    # A SyntaxError says itself where it is.
+    if isinstance(error, (ImportError, SyntaxError)) and not own:
         where = ""
     try:
         text = " ".join(str(error).split())

@@ -5,6 +5,7 @@ What a space becomes and what is refused is checked by speaking the protocol; th
 
 import contextlib
 import hashlib
+import importlib
 import io
 import json
 import logging
@@ -403,6 +404,20 @@ def test_an_exception_is_one_line_with_file_and_line():
     (_, _, end, _, _), failures = pair.step([0])
     assert end == worker.DID_FAIL
     assert re.fullmatch(r"IndexError: nothing there \(test_worker.py:\d+\)", failures[0]), failures
+
+
+def test_a_syntax_error_names_its_own_line_and_not_the_importers():
+    with tempfile.TemporaryDirectory() as place:
+        Path(place, "broken_here.py").write_text("def make(\n")
+        sys.path.insert(0, place)
+        try:
+            importlib.import_module("broken_here")
+        except SyntaxError as error:
+            # Without the frame of this file, which is the worker's elsewhere.
+            told = worker.sentence(error.with_traceback(error.__traceback__.tb_next))
+        finally:
+            sys.path.remove(place)
+    assert told.endswith("(broken_here.py, line 1)"), told
 
 
 def test_environments_that_fail_alike_print_one_traceback():

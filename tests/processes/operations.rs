@@ -5,7 +5,8 @@
 use std::fs;
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
-use std::os::unix::net::UnixDatagram;
+use std::os::linux::net::SocketAddrExt as _;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread;
@@ -255,6 +256,22 @@ fn a_service_manager_hears_that_a_learner_is_ready_alive_and_about_to_end() {
     let learner = place.start_with(command);
     hear("READY=1");
     learner.finish(PATIENCE).with_code(0);
+    // A name without a file, as in some containers.
+    let name = format!("leadtime-test-{}", std::process::id());
+    let unnamed = SocketAddr::from_abstract_name(&name).unwrap();
+    let unnamed = UnixDatagram::bind_addr(&unnamed).unwrap();
+    unnamed.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut command = place.program(&[&again]);
+    command.env("NOTIFY_SOCKET", format!("@{name}"));
+    place.start_with(command).finish(PATIENCE).with_code(0);
+    let mut bytes = [0; 256];
+    let n_bytes = unnamed.recv(&mut bytes).unwrap();
+    assert_eq!(&bytes[..n_bytes], b"READY=1\n");
+    // Where nobody listens, the manager would wait in vain.
+    let mut command = place.program(&[&again]);
+    command.env("NOTIFY_SOCKET", place.file("nobody"));
+    let told = "(NOTIFY_SOCKET) cannot be notified";
+    place.start_with(command).finish(PATIENCE).with_code(0).saying(&[told]);
 }
 
 #[test]

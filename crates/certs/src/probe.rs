@@ -86,9 +86,11 @@ impl Identity {
     /// What prevents it; none if both sides accept each other.
     pub fn probe(&self, host: &str, mut stream: TcpStream) -> Result<(), HandshakeRefusal> {
         let broken = |error: String| HandshakeRefusal::Broken(error);
+        // An IPv6 address stands in brackets where it is dialled, and without them in a certificate.
+        let host = host.trim_matches(['[', ']']);
         let config = self.client_config().map_err(broken)?;
-        let name = ServerName::try_from(host.trim_matches(['[', ']']).to_owned())
-            .map_err(|error| broken(error.to_string()))?;
+        let name =
+            ServerName::try_from(host.to_owned()).map_err(|error| broken(error.to_string()))?;
         let mut connection = ClientConnection::new(Arc::new(config), name)
             .map_err(|error| broken(error.to_string()))?;
         while connection.is_handshaking() {
