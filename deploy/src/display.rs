@@ -17,7 +17,7 @@ const BAR_EVERY: Duration = Duration::from_millis(100);
 pub(crate) struct Display {
     is_bar: bool,
     last: Option<Instant>,
-    pace: Pace,
+    pace: StepRate,
     /// Where this process took the run up, and when: what a predecessor did took no time of this one.
     began: Option<(u64, Instant)>,
 }
@@ -28,7 +28,7 @@ impl Display {
         Self {
             is_bar: terminal::is_watched() && logging::is_chatty(),
             last: None,
-            pace: Pace::default(),
+            pace: StepRate::default(),
             began: None,
         }
     }
@@ -57,12 +57,12 @@ impl Display {
 /// How fast a run goes, over the last five to ten seconds: a single update says little, and the one that a line waited for is
 /// slower than most.
 #[derive(Debug, Default)]
-struct Pace {
+struct StepRate {
     /// When how many steps were done: at the last mark, and at the one before.
     marks: [Option<(Instant, u64)>; 2],
 }
 
-impl Pace {
+impl StepRate {
     /// Returns the steps per second up to now; what the last update says, where that is all there is.
     fn rate(&mut self, now: Instant, n_steps: u64, of_last: f64) -> f64 {
         let last = self.marks[0];
@@ -110,7 +110,7 @@ mod tests {
 
     #[test]
     fn the_pace_is_that_of_seconds_and_not_of_the_update_that_a_line_waited_for() {
-        let (start, mut pace) = (Instant::now(), Pace::default());
+        let (start, mut pace) = (Instant::now(), StepRate::default());
         let at = |millis: u64| start + Duration::from_millis(millis);
         assert!((pace.rate(at(0), 512, 100.0) - 100.0).abs() < 1e-9, "all there is");
         for update in 1..=490_u64 {
