@@ -47,6 +47,7 @@ CLOSING = 1.0  # Seconds that environments have for their `close` when the actor
 LARGEST = 3e38  # About the largest number of 32 bits; the actor refuses it by name.
 ENGINES = ("Box2D", "mujoco", "ale_py", "pettingzoo", "torch", "jax")  # What computes may decide what is computed.
 NONE, TERMINATED, TRUNCATED, DID_FAIL = range(4)
+FAILURES = (Exception, SystemExit)  # Of an environment; a library that parses arguments or gives up calls `sys.exit`.
 
 
 class Refused(Exception):
@@ -62,6 +63,11 @@ class Connection:
         self.incoming = self.socket.makefile("rb", 1 << 16)
         self.lock = threading.Lock()
         self.last = time.monotonic()
+        self.process = os.getpid()
+
+    def is_ours(self):
+        """Returns whether this is the process that opened the connection, and not one that an environment has forked off."""
+        return os.getpid() == self.process
 
     def receive(self):
         header = self.incoming.read(5)
@@ -71,6 +77,9 @@ class Connection:
         return kind, self.incoming.read(length)
 
     def send(self, kind, *parts):
+        if not self.is_ours():
+            # A child that goes on after an environment's exception would answer in the middle of what its parent says.
+            os._exit(1)
         body = b"".join(parts)
         with self.lock:
             self.socket.sendall(struct.pack("<IB", len(body), kind) + body)
@@ -104,7 +113,11 @@ class LogHandler(logging.Handler):
                 # As everywhere in Python: a line that cannot be written fails nothing but itself.
                 self.handleError(record)
                 return
-            self.connection.send(LOG, bytes([level]), text)
+            if self.connection.is_ours():
+                self.connection.send(LOG, bytes([level]), text)
+            else:
+                # Of a child of an environment: what it prints goes to the log as well, and cannot get into an answer.
+                os.write(2, text + b"\n")
 
 
 def as_bytes(text):
@@ -122,6 +135,8 @@ def shown(value):
 
 def number(value, what):
     """Returns a number that fits 32 bits."""
+    if isinstance(value, (str, bytes)):
+        raise Refused(f"{what} is {shown(value)}, which is no number")
     try:
         value = float(value)
     except OverflowError:
@@ -129,6 +144,16 @@ def number(value, what):
     except (TypeError, ValueError):
         raise Refused(f"{what} is {shown(value)}, which is no number") from None
     return max(min(value, LARGEST), -LARGEST) if math.isfinite(value) else value
+
+
+def flag(value, what):
+    """Returns whether something holds that an environment says in whatever it has for that."""
+    try:
+        if not isinstance(value, (str, bytes)) and value == value:
+            return bool(value)
+    except (TypeError, ValueError):
+        pass
+    raise Refused(f"{what} is {shown(value)}, which is neither true nor false")
 
 
 def sentence(error):
@@ -140,7 +165,8 @@ def sentence(error):
            and not frame.filename.startswith(("<", os.path.dirname(os.__file__)))]
     place = (own or frames)[-1:]
     where = "".join(f" ({os.path.basename(frame.filename)}:{frame.lineno})" for frame in place)
-    if isinstance(error, ImportError) and not own:
+    # A SyntaxError says itself where it is.
+    if isinstance(error, (ImportError, SyntaxError)) and not own:
         where = ""
     try:
         text = " ".join(str(error).split())
@@ -206,7 +232,7 @@ class Flattener:
     """Makes rows of 32-bit numbers of observations."""
 
     def __init__(self, space, spaces, np):
-        self.space, self.np, self.dtype = space, np, np.dtype(np.float32)
+        self.space, self.spaces, self.np, self.dtype = space, spaces, np, np.dtype(np.float32)
         try:
             self.dim = spaces.flatdim(space)
         except (NotImplementedError, ValueError):
@@ -227,6 +253,7 @@ class Flattener:
     def row(self, observation):
         np = self.np
         if self.flatten is not None:
+            self.check(self.space, observation, "an observation")
             return np.asarray(self.flatten(self.space, observation), np.float32)
         values = np.asarray(observation)
         if values.shape != self.space.shape:
@@ -238,6 +265,27 @@ class Flattener:
             logging.info("observations are float64; they are used as float32")
         # A copy: the environment may go on writing into its own.
         return np.array(values.ravel(), np.float32)
+
+    def check(self, space, value, what):
+        """Refuses what Gymnasium would flatten to other numbers, or to more or fewer of them."""
+        spaces = self.spaces
+        if isinstance(space, spaces.Dict):
+            if not isinstance(value, Mapping):
+                raise Refused(f"{what} is {shown(value)}, which is no dict")
+            for key, part in space.spaces.items():
+                if key not in value:
+                    raise Refused(f"{what} has no `{key}`, and the observation space has")
+                self.check(part, value[key], f"`{key}` of {what}")
+        elif isinstance(space, spaces.Tuple):
+            if not isinstance(value, (tuple, list)) or len(value) != len(space.spaces):
+                raise Refused(f"{what} is {shown(value)}, not a tuple of {len(space.spaces)}")
+            for i, part in enumerate(space.spaces):
+                self.check(part, value[i], f"part {i} of {what}")
+        elif isinstance(space, spaces.Box):
+            if self.np.shape(value) != space.shape:
+                raise Refused(f"{what} has shape {self.np.shape(value)}, not {space.shape}")
+        elif not space.contains(value):
+            raise Refused(f"{what} is {shown(value)}, which is not in {space}")
 
     def look(self, rows):
         """Tells once that observations leave their Box, which costs them nothing."""
@@ -270,7 +318,16 @@ def maker(target, config):
         make = getattr(make, part)
     if inspect.isclass(make) and issubclass(make, gymnasium.Env):
         return lambda index: make(**config)
-    takes = len([p for p in inspect.signature(make).parameters.values() if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)])
+    if not callable(make):
+        raise Refused(f"`{target}` is {shown(make)}, and no function that makes an environment")
+    parameters = inspect.signature(make).parameters.values()
+    takes = len([p for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)])
+    if any(p.kind is p.VAR_POSITIONAL for p in parameters):
+        takes = 2
+    if takes == 0 and any(p.kind in (p.KEYWORD_ONLY, p.VAR_KEYWORD) for p in parameters):
+        return lambda index: make(**config)
+    if takes == 0 and config:
+        raise Refused(f"`{target}` takes no argument, and `env` has {sorted(config)}: let it take `config`, and `index` if it needs that")
     return lambda index: make(*(config, index)[:takes])
 
 
@@ -434,7 +491,7 @@ class Worker:
             at += 10 + length
             try:
                 row, mask = self.restore(slot, seed, base, actions)
-            except Exception as error:
+            except FAILURES as error:
                 self.tell(slot, error)
                 row, mask, ends[i] = self.observe.nothing, EVERYTHING, DID_FAIL
             rows.append(row)
@@ -483,6 +540,8 @@ class Worker:
                 if reward.__class__ is not float:
                     reward = number(reward, "the reward")
                 ended = b""
+                if terminated.__class__ is not bool or truncated.__class__ is not bool:
+                    terminated, truncated = flag(terminated, "`terminated`"), flag(truncated, "`truncated`")
                 if terminated or truncated:
                     ended = row.tobytes() + self.summary(info)
                     observation, info = self.reset(slot, seed)
@@ -492,7 +551,7 @@ class Worker:
                 if ended:
                     rest.append(ended)
                     ends[i] = TERMINATED if terminated else TRUNCATED
-            except Exception as error:
+            except FAILURES as error:
                 self.tell(slot, error)
                 row, reward, ends[i] = self.observe.nothing, 0.0, DID_FAIL
             rows.append(row)
@@ -523,12 +582,14 @@ class Worker:
         row, mask = self.rows[slot]
         try:
             pickled = pickle.dumps((self.envs[slot], self.np.array(row), mask), pickle.HIGHEST_PROTOCOL)
-        except Exception as error:
+        except FAILURES as error:
             self.tell(slot, error)
             pickled = b""
         self.connection.send(SNAPSHOTTED, pickled)
 
     def tell(self, slot, error):
+        if not self.connection.is_ours():
+            raise error  # A child that an environment has forked off ends here, as it would anywhere.
         # One traceback of all that say the same, and not one for each of a hundred environments.
         if not isinstance(error, Refused) and sentence(error) not in self.told and len(self.told) < MOST_TRACEBACKS:
             self.told.add(sentence(error))
@@ -549,7 +610,7 @@ class Worker:
         for env in self.envs.values():
             try:
                 env.close()
-            except Exception as error:
+            except FAILURES as error:
                 print(f"`close` fails: {sentence(error)}", file=sys.stderr)
 
 
@@ -590,7 +651,7 @@ def main(arguments):
         numpy.random.seed(0)
         worker = Worker(connection, maker(arguments[0] if arguments else None, config["env"]), config)
         worker.hello()
-    except Exception as error:
+    except FAILURES as error:
         connection.failed(ITSELF, error)
         return 1
     try:

@@ -5,6 +5,7 @@ What a space becomes and what is refused is checked by speaking the protocol; th
 
 import contextlib
 import hashlib
+import importlib
 import io
 import json
 import logging
@@ -16,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import types
 from pathlib import Path
 
 import gymnasium
@@ -241,6 +243,98 @@ def test_an_odd_info_is_named_and_no_line_of_the_log_fails_a_step():
     assert end == 0 and not failures and "not enough arguments" in printed.getvalue(), (failures, printed.getvalue())
 
 
+def test_what_a_step_returns_is_taken_for_what_it_is_or_refused_by_name():
+    box, pair = spaces.Box(0, 1, (2,)), spaces.MultiDiscrete([2, 3])
+
+    class Told(Toy):
+        def step(self, action):
+            if self.fault == "exit":
+                sys.exit("gave up")
+            return tuple(self.fault.get(i, value) for i, value in enumerate(super().step(action)))
+
+        def look(self):
+            return self.observation_space.sample()
+
+    def step(fault, space=box):
+        with contextlib.redirect_stderr(io.StringIO()):
+            return Pair(lambda index: Told(fault=fault, observation_space=space)).begun().step([0])
+
+    for fault, told in [({2: np.array([True, False])}, "`terminated` is array([ True, False]), which is neither true nor false"),
+                        ({2: float("nan")}, "`terminated` is nan, which is neither true nor false"),
+                        ({3: "False"}, "`truncated` is 'False', which is neither true nor false"),
+                        ({1: "1.5"}, "the reward is '1.5', which is no number")]:
+        (_, _, end, _, _), failures = step(fault)
+        assert end == worker.DID_FAIL and failures == [told], failures
+    for fault, expected in [({2: np.bool_(False), 3: None}, worker.NONE), ({2: np.array([True])}, worker.TERMINATED), ({3: 1}, worker.TRUNCATED)]:
+        (_, _, end, _, _), failures = step(fault)
+        assert end == expected and not failures, (fault, end, failures)
+    _, failures = step("exit")
+    assert re.fullmatch(r"SystemExit: gave up \(test_worker.py:\d+\)", failures[0]), failures
+
+    both, in_turn = spaces.Dict(a=box, b=spaces.Discrete(3)), spaces.Tuple([box, pair])
+    # Gymnasium would take the second last number for -1, and make more numbers of three than the space has.
+    for space, seen, told in [(both, {"a": [0, 0], "b": -1}, "`b` of an observation is -1, which is not in Discrete(3)"),
+                              (both, {"a": [0, 0, 0], "b": 1}, "`a` of an observation has shape (3,), not (2,)"),
+                              (both, {"a": [0, 0]}, "an observation has no `b`, and the observation space has"),
+                              (both, [0, 0], "an observation is [0, 0], which is no dict"),
+                              (in_turn, ([0, 0],), "an observation is ([0, 0],), not a tuple of 2"),
+                              (in_turn, ([0, 0], np.array([1, 3])), "part 1 of an observation is array([1, 3]), which is not in MultiDiscrete([2 3])")]:
+        _, failures = step({0: seen}, space)
+        assert failures == [told], failures
+    _, failures = step({0: {"a": [0, 0], "b": 1, "further": None}}, both)
+    assert not failures, failures
+
+
+def test_what_makes_an_environment_gets_what_it_takes():
+    def named(*, length=5):
+        return Toy(length=length)
+
+    def any_name(**config):
+        return Toy(**config)
+
+    def in_a_row(*arguments):
+        return Toy(**arguments[0])
+
+    def nothing():
+        return Toy()
+
+    module = types.ModuleType("made_here")
+    vars(module).update(named=named, any_name=any_name, in_a_row=in_a_row, nothing=nothing, toy=Toy, both=lambda config, index: Toy(**config), wrong=3)
+    sys.modules["made_here"] = module
+    for name in ("named", "any_name", "in_a_row", "toy", "both"):
+        assert worker.maker(f"made_here:{name}", {"length": 9})(0).length == 9, name
+    assert worker.maker("made_here:nothing", {})(0).length == 5
+    for name, config, told in [("nothing", {"length": 9}, "`made_here:nothing` takes no argument, and `env` has ['length']"),
+                               ("wrong", {}, "`made_here:wrong` is 3, and no function")]:
+        try:
+            worker.maker(f"made_here:{name}", config)
+        except worker.Refused as error:
+            assert told in str(error), error
+        else:
+            raise AssertionError(name)
+
+
+def test_a_child_of_an_environment_says_nothing_to_the_actor():
+    with tempfile.TemporaryDirectory() as place:
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(place + "/socket")
+        listener.listen()
+        connection = worker.Connection(place + "/socket")
+        end, printed = listener.accept()[0], os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.dup2(printed[1], 2)
+            try:
+                worker.LogHandler(connection).emit(logging.makeLogRecord({"levelno": logging.INFO, "msg": "from a child"}))
+                connection.send(worker.ALIVE)
+            finally:
+                os._exit(0)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
+        assert os.read(printed[0], 100) == b"from a child\n"
+        connection.send(worker.ALIVE)
+        assert end.recv(100) == struct.pack("<IB", 0, worker.ALIVE)
+
+
 def test_what_wraps_an_environment_or_is_imported_by_it_is_part_of_its_code():
     with tempfile.TemporaryDirectory() as place:
         for name in ("__init__", "pay"):
@@ -310,6 +404,20 @@ def test_an_exception_is_one_line_with_file_and_line():
     (_, _, end, _, _), failures = pair.step([0])
     assert end == worker.DID_FAIL
     assert re.fullmatch(r"IndexError: nothing there \(test_worker.py:\d+\)", failures[0]), failures
+
+
+def test_a_syntax_error_names_its_own_line_and_not_the_importers():
+    with tempfile.TemporaryDirectory() as place:
+        Path(place, "broken_here.py").write_text("def make(\n")
+        sys.path.insert(0, place)
+        try:
+            importlib.import_module("broken_here")
+        except SyntaxError as error:
+            # Without the frame of this file, which is the worker's elsewhere.
+            told = worker.sentence(error.with_traceback(error.__traceback__.tb_next))
+        finally:
+            sys.path.remove(place)
+    assert told.endswith("(broken_here.py, line 1)"), told
 
 
 def test_environments_that_fail_alike_print_one_traceback():

@@ -4,10 +4,12 @@
 
 use std::fs;
 use std::io::{Read as _, Write as _};
-use std::net::TcpStream;
-use std::os::unix::net::UnixDatagram;
+use std::net::{TcpListener, TcpStream};
+use std::os::linux::net::SocketAddrExt as _;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::thread;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
@@ -127,6 +129,27 @@ fn a_status_page_tells_what_a_run_does_and_whether_it_is_well() {
     place.finish(&["health localhost"]).with_code(2).saying(&["such as 127.0.0.1:9464"]);
 }
 
+#[test]
+fn health_tells_a_program_that_stands_still_or_is_another_one_from_nobody() {
+    let place = Place::new();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let at = listener.local_addr().unwrap().to_string();
+    // The system accepts the connection; nobody reads it.
+    let told = format!("what listens at {at} does not answer within 2s");
+    place.finish(&["health", &at]).with_code(3).saying(&[&told]);
+    // The first to be accepted is the one that has given up.
+    drop(listener.accept().unwrap());
+    let other = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        let n_read = stream.read(&mut [0; 1024]).unwrap();
+        assert!(n_read > 0);
+        stream.write_all(b"SSH-2.0-OpenSSH_9.6\r\n").unwrap();
+    });
+    let told = format!("what listens at {at} is no status page of a learner or an actor");
+    place.finish(&["health", &at]).with_code(3).saying(&[&told]);
+    other.join().unwrap();
+}
+
 /// Has Python's strict parser read a page, where it is installed.
 fn read_strictly(place: &Place, page: &str) {
     let file = place.write("page.txt", page);
@@ -233,6 +256,22 @@ fn a_service_manager_hears_that_a_learner_is_ready_alive_and_about_to_end() {
     let learner = place.start_with(command);
     hear("READY=1");
     learner.finish(PATIENCE).with_code(0);
+    // A name without a file, as in some containers.
+    let name = format!("leadtime-test-{}", std::process::id());
+    let unnamed = SocketAddr::from_abstract_name(&name).unwrap();
+    let unnamed = UnixDatagram::bind_addr(&unnamed).unwrap();
+    unnamed.set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut command = place.program(&[&again]);
+    command.env("NOTIFY_SOCKET", format!("@{name}"));
+    place.start_with(command).finish(PATIENCE).with_code(0);
+    let mut bytes = [0; 256];
+    let n_bytes = unnamed.recv(&mut bytes).unwrap();
+    assert_eq!(&bytes[..n_bytes], b"READY=1\n");
+    // Where nobody listens, the manager would wait in vain.
+    let mut command = place.program(&[&again]);
+    command.env("NOTIFY_SOCKET", place.file("nobody"));
+    let told = "(NOTIFY_SOCKET) cannot be notified";
+    place.start_with(command).finish(PATIENCE).with_code(0).saying(&[told]);
 }
 
 #[test]

@@ -12,6 +12,7 @@ mod support;
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs;
+use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -110,7 +111,7 @@ fn a_run_by_certificate_has_the_same_weights_and_strangers_get_nowhere() {
     twice.with_code(2).saying(&["`a1` is already here"]);
     let clear = there.replace("tls/", "tcp/");
     let told = place.finish(&["actor --connect-timeout 1s --connect", &clear]);
-    told.with_code(3).saying(&["does not answer as a learner does"]);
+    told.with_code(3).saying(&["asks for TLS: write `tls/`"]);
     let told = place.finish(&["actor --tls pki/a2 --connect", &clear]);
     told.with_code(2).saying(&["is not encrypted"]);
 
@@ -260,6 +261,22 @@ fn contents(directory: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let files = fs::read_dir(directory).unwrap().map(|entry| entry.unwrap().path());
     let files = files.filter(|path| !path.ends_with("serial"));
     files.map(|path| (path.clone(), fs::read(&path).unwrap())).collect()
+}
+
+#[test]
+fn an_ipv6_address_in_brackets_is_dialled_under_the_certificate_for_it() {
+    let Ok(free) = TcpListener::bind("[::1]:0") else { return };
+    drop(free);
+    let place = Place::new();
+    place.finish(&["certs init pki"]).with_code(0);
+    place.finish(&["certs issue pki router:r1@::1 observer:o1"]).with_code(0);
+    let router = place.start(&["router --listen tls/[::1]:0 --insecure --tls pki/r1"]);
+    wait_for_words(&router, "router listens at tls/[::1]:");
+    let said = router.stderr();
+    let port = said.split("tls/[::1]:").nth(1).unwrap().split_whitespace().next().unwrap();
+    let there = format!("tls/[::1]:{port}");
+    let told = place.finish(&["watch --once --connect-timeout 3s --tls pki/o1 --connect", &there]);
+    told.with_code(3).saying(&["no learner is running at"]);
 }
 
 #[test]

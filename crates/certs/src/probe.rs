@@ -86,9 +86,11 @@ impl Identity {
     /// What prevents it; none if both sides accept each other.
     pub fn probe(&self, host: &str, mut stream: TcpStream) -> Result<(), HandshakeRefusal> {
         let broken = |error: String| HandshakeRefusal::Broken(error);
+        // An IPv6 address stands in brackets where it is dialled, and without them in a certificate.
+        let host = host.trim_matches(['[', ']']);
         let config = self.client_config().map_err(broken)?;
-        let name = ServerName::try_from(host.trim_matches(['[', ']']).to_owned())
-            .map_err(|error| broken(error.to_string()))?;
+        let name =
+            ServerName::try_from(host.to_owned()).map_err(|error| broken(error.to_string()))?;
         let mut connection = ClientConnection::new(Arc::new(config), name)
             .map_err(|error| broken(error.to_string()))?;
         while connection.is_handshaking() {
@@ -176,6 +178,30 @@ fn list(names: &[String]) -> String {
         return "nobody who dials".to_owned();
     }
     // A peer's names: escaped, and not endless.
-    let quoted = names.iter().take(4).map(|name| format!("`{}`", name.escape_debug()));
+    let quoted = names.iter().take(4).map(|name| format!("`{}`", plain(name).escape_debug()));
     quoted.collect::<Vec<_>>().join(", ")
+}
+
+/// Takes a name out of the form in which the TLS library lists it.
+fn plain(name: &str) -> &str {
+    let kinds = ["DnsName(\"", "IpAddress("];
+    let inner = kinds.iter().find_map(|kind| name.strip_prefix(*kind));
+    inner.map_or(name, |inner| inner.trim_end_matches(['"', ')']))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_a_certificate_are_written_as_they_are_dialled() {
+        let names = ["DnsName(\"router.example\")", "IpAddress(10.0.0.1)", "IpAddress(fd00::1)"];
+        let names = names.map(str::to_owned).to_vec();
+        let told = HandshakeRefusal::OtherHost { host: "box".to_owned(), names }.to_string();
+        let expected = "not for `box` but for `router.example`, `10.0.0.1`, `fd00::1`: issue it";
+        assert!(told.contains(expected), "{told}");
+        let names = vec!["\u{1b}[31m".to_owned()];
+        let told = HandshakeRefusal::OtherHost { host: "box".to_owned(), names }.to_string();
+        assert!(told.contains("for `\\u{1b}[31m`"), "{told}");
+    }
 }

@@ -1,7 +1,7 @@
 //! Why nobody can be reached at an address. The network library only says that its time is over, so it is tried once
 //! more, by hand, with what the system says.
 
-use std::io::ErrorKind;
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{TcpStream, ToSocketAddrs as _};
 use std::os::unix::net::UnixStream;
 use std::time::Duration;
@@ -44,6 +44,10 @@ pub(crate) enum Obstacle {
     #[error("a program listens there, but it does not answer as a {0} does: is it the right port?")]
     Stranger(Whom),
     #[error(
+        "the program that listens there asks for TLS: write `tls/` instead of `tcp/`, with --tls DIR/ID"
+    )]
+    Encrypted,
+    #[error(
         "a program listens there, but no encrypted connection comes about: the certificate there has to be signed by the \
          authority in `root_ca_certificate_file`, be for this host's name, and not be expired; and the {0} may ask \
          for a certificate of ours"
@@ -64,8 +68,22 @@ pub(crate) fn diagnose(endpoint: &Endpoint, identity: Option<&Identity>, whom: W
             (Ok(_), None) => Obstacle::NoTls(whom),
             (Ok(stream), Some(identity)) => handshake(address, identity, stream, whom),
         },
-        _ => tcp(address, whom).err().unwrap_or(Obstacle::Stranger(whom)),
+        _ => match tcp(address, whom) {
+            Err(obstacle) => obstacle,
+            Ok(stream) if speaks_tls(stream) => Obstacle::Encrypted,
+            Ok(_) => Obstacle::Stranger(whom),
+        },
     }
+}
+
+/// Tells whether TLS is spoken there: what is no record of it is answered with an alert.
+fn speaks_tls(mut stream: TcpStream) -> bool {
+    const NO_RECORD: &[u8] = b"\x05\0hello";
+    const ALERT: [u8; 2] = [21, 3];
+    let mut answer = [0; 2];
+    let asked = stream.set_read_timeout(Some(ATTEMPT)).and_then(|()| stream.write_all(NO_RECORD));
+    let answered = asked.and_then(|()| stream.read_exact(&mut answer));
+    answered.is_ok() && answer == ALERT
 }
 
 /// Shakes hands as this process would.
@@ -130,6 +148,24 @@ mod tests {
             at(&format!("unixsock-stream/{}", socket.display())),
             Obstacle::Refused("router")
         );
+    }
+
+    #[test]
+    fn a_program_that_asks_for_tls_is_told_from_a_foreign_one() {
+        for (answer, expected) in [
+            (b"\x15\x03\x03\x00\x02\x02\x32".as_slice(), Obstacle::Encrypted),
+            (b"SSH-2.0".as_slice(), Obstacle::Stranger("router")),
+        ] {
+            let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+            let port = listener.local_addr().unwrap().port();
+            let there = std::thread::spawn(move || {
+                let (mut stream, _) = listener.accept().unwrap();
+                stream.read_exact(&mut [0; 7]).unwrap();
+                stream.write_all(answer).unwrap();
+            });
+            assert_eq!(at(&format!("tcp/127.0.0.1:{port}")), expected);
+            there.join().unwrap();
+        }
     }
 
     #[test]

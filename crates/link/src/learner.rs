@@ -180,7 +180,7 @@ impl LearnerLink {
         let Some(peer) = admitted.member_key(actor, credit.incarnation) else { return Ok(()) };
         let key = Key::Credit(&place.run, actor);
         let (header, payload) = wire::seal(Schema::Credit, &peer, Sequence(0), &credit)?;
-        put(&place.session.now(), key, wire::NOTICE, &header, payload)
+        put(&place.session.now(), key, wire::CREDIT, &header, payload)
     }
 
     /// Gives one start of an actor an order and waits for its answer.

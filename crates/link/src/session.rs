@@ -23,9 +23,12 @@ const LEASE_MS: u64 = 2_000;
 pub(crate) const ACTOR_WAIT_BEFORE_CLOSE_US: u64 = 60_000_000;
 /// The same for a learner, which must not wait long for one actor, in microseconds.
 pub(crate) const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
-/// Messages that may wait for a link of a notifier at work (the most there can be; 2 by default): a recorder is sent several for each
-/// step, and where there is no room for a thousandth of a second, they are dropped.
-const LIVE_BATCHES: usize = 16;
+/// Messages that may wait for a link in each of [`QUICK`] (the most there can be; 2 by default). Where there is no room for a
+/// thousandth of a second they are dropped, and on a busy machine the thread that sends them waits longer than that: an actor that
+/// misses an announcement stands still until it is repeated, and a recorder is sent several messages for each step.
+const QUICK_BATCHES: usize = 16;
+/// The priorities of messages that are sent at once and dropped rather than waited for: speech, announcements, credit.
+const QUICK: [&str; 3] = ["real_time", "interactive_high", "interactive_low"];
 /// Room over the largest message for keys and headers.
 const MESSAGE_SLACK: usize = 64 << 10;
 /// First and longest pause between attempts to connect, in milliseconds.
@@ -148,7 +151,7 @@ pub(crate) async fn listen_live(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
-    listen_with("peer", settings, limits::MAX_LIVE_BYTES, Some(live_queue())).await
+    listen_with("peer", settings, limits::MAX_LIVE_BYTES).await
 }
 
 /// Returns how a process that listens nowhere reaches a router.
@@ -170,16 +173,10 @@ pub(crate) async fn is_dead(session: &Session, listens: bool) -> bool {
 /// Opens a session that listens: a `peer`, or a `router`.
 pub(crate) async fn listen_as(mode: &str, settings: &ListenSettings) -> Result<Session> {
     // Twice the largest rollout, so that what is a little too large is refused and counted by us.
-    let passes_on = (mode == "router").then(live_queue);
-    listen_with(mode, settings, 2 * limits::MAX_ROLLOUT_BYTES, passes_on).await
+    listen_with(mode, settings, 2 * limits::MAX_ROLLOUT_BYTES).await
 }
 
-async fn listen_with(
-    mode: &str,
-    settings: &ListenSettings,
-    max_bytes: usize,
-    more: Option<(&'static str, String)>,
-) -> Result<Session> {
+async fn listen_with(mode: &str, settings: &ListenSettings, max_bytes: usize) -> Result<Session> {
     settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
     settings.check()?;
     let identity = settings.identity.as_ref();
@@ -194,7 +191,6 @@ async fn listen_with(
         max_message(max_bytes),
         wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
     ];
-    special.extend(more);
     if let Some(identity) = identity {
         special.extend(security::settings(identity, has_socket)?);
     }
@@ -317,9 +313,8 @@ async fn open(config: Config) -> Result<zenoh::Result<Session>> {
     opened.map_err(|_panicked| Error::Panicked("open a connection"))
 }
 
-/// Returns how much of what is urgent may wait where notifiers at work are passed on.
-fn live_queue() -> (&'static str, String) {
-    ("transport/link/tx/queue/size/real_time", LIVE_BATCHES.to_string())
+fn queue_size(priority: &str) -> String {
+    format!("transport/link/tx/queue/size/{priority}")
 }
 
 fn max_message(bytes: usize) -> (&'static str, String) {
@@ -343,11 +338,13 @@ fn config(special: &[(&'static str, String)]) -> Config {
         ("connect/retry", retry),
     ];
     let mut config = Config::default();
-    for (key, value) in always.iter().chain(special) {
+    let mut set = |key: &str, value: &str| {
         config
             .insert_json5(key, value)
             .unwrap_or_else(|error| panic!("setting `{key}` is not known to the network: {error}"));
-    }
+    };
+    QUICK.iter().for_each(|priority| set(&queue_size(priority), &QUICK_BATCHES.to_string()));
+    always.iter().chain(special).for_each(|(key, value)| set(key, value));
     config
 }
 
@@ -359,7 +356,10 @@ fn json_list(endpoints: &[Endpoint]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use zenoh::qos::{CongestionControl, Priority};
+
     use super::*;
+    use crate::wire;
 
     #[test]
     fn every_setting_is_one_that_the_network_knows() {
@@ -374,5 +374,23 @@ mod tests {
             wait_before_close(1),
         ]);
         assert!(config.get_json("listen/endpoints").unwrap().contains("127.0.0.1:0"));
+    }
+
+    #[test]
+    fn what_is_dropped_rather_than_waited_for_has_room_in_every_session() {
+        let name = |priority: Priority| match priority {
+            Priority::RealTime => "real_time",
+            Priority::InteractiveHigh => "interactive_high",
+            Priority::InteractiveLow => "interactive_low",
+            other => panic!("{other:?} has a short queue"),
+        };
+        let config = config(&[]);
+        for qos in [wire::SPEECH, wire::NOTICE, wire::CREDIT] {
+            assert_eq!(qos.congestion, CongestionControl::Drop);
+            let size = config.get_json(&queue_size(name(qos.priority))).unwrap();
+            assert_eq!(size, QUICK_BATCHES.to_string());
+        }
+        // Credit for many actors behind one router cannot take an announcement's place.
+        assert_ne!(wire::NOTICE.priority, wire::CREDIT.priority);
     }
 }

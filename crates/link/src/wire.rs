@@ -30,10 +30,13 @@ pub(crate) const CONTROL: Qos =
 /// Observations and what is said about them: first of all, and never waited for, because the next one says more.
 pub(crate) const SPEECH: Qos =
     Qos { priority: Priority::RealTime, congestion: CongestionControl::Drop, express: true };
-/// Credit and announcements. Dropped rather than waited for: they are repeated, and waiting for one slow peer would hold
-/// up what the others live on.
+/// Announcements. Dropped rather than waited for: they are repeated, and waiting for one slow peer would hold up what the
+/// others live on.
 pub(crate) const NOTICE: Qos =
     Qos { priority: Priority::InteractiveHigh, congestion: CongestionControl::Drop, express: true };
+/// Credit, for the same reasons. There is one for each actor, and an announcement is not to wait behind those of a hundred.
+pub(crate) const CREDIT: Qos =
+    Qos { priority: Priority::InteractiveLow, congestion: CongestionControl::Drop, express: true };
 /// Rollouts and weights. They wait: a rollout that is dropped on the way would come again only after a time-out. That
 /// is why they are sent by threads of their own.
 pub(crate) const BULK: Qos =

@@ -83,7 +83,10 @@ pub enum ProtocolError {
     #[error("it closed the connection")]
     Closed,
     /// Nothing came for too long.
-    #[error("it said nothing for {}", leadtime_proto::phrase::duration(*timeout))]
+    #[error(
+        "it said nothing for {}; where a step takes longer, raise world.step_timeout",
+        leadtime_proto::phrase::duration(*timeout)
+    )]
     Silent { timeout: Duration },
     /// The socket cannot be read or written.
     #[error("the connection broke: {0}")]

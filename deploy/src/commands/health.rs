@@ -1,10 +1,11 @@
 //! `leadtime health`: whether a learner or an actor is well, as its status address says. For containers without a shell.
 
-use std::io::{Read as _, Write as _};
+use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
 use anyhow::anyhow;
+use leadtime_proto::phrase::duration;
 use leadtime_proto::text::printable;
 
 use crate::cli::{HealthArgs, STATUS_ADDRESS};
@@ -20,19 +21,40 @@ pub(super) fn run(args: &HealthArgs) -> Result<(), Failure> {
     let address = leadtime_web::parse_address(&args.address, STATUS_ADDRESS);
     let address = address.blame(ExitCode::WrongInput)?;
     let path = if args.live { "/live" } else { "/ready" };
-    let answer = ask(address, path).map_err(|error| {
-        anyhow!("nobody answers at {address}: {error}; start a learner or an actor with --status {address}")
-    });
+    let answer = ask(address, path).map_err(|error| unanswered(address, &error));
     let answer = answer.blame(ExitCode::PeerLost)?;
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
     let status = head.split(' ').nth(1).unwrap_or_default();
     let sentence = printable(body.trim());
-    if status == "200" {
-        output::line(&sentence);
-        return Ok(());
+    match status {
+        "200" => {
+            output::line(&sentence);
+            Ok(())
+        }
+        "503" => {
+            output::say(&format!("{path}: {sentence}"));
+            Err(Failure::silent(ExitCode::Failed))
+        }
+        _ => {
+            let told = "is no status page of a learner or an actor: is it the right port?";
+            let error = anyhow!("what listens at {address} {told}");
+            Err(Failure::of(ExitCode::PeerLost, error))
+        }
     }
-    output::say(&format!("{path}: {sentence}"));
-    Err(Failure::silent(ExitCode::Failed))
+}
+
+/// Says why there is no answer.
+fn unanswered(address: SocketAddr, error: &std::io::Error) -> anyhow::Error {
+    if error.kind() == ErrorKind::WouldBlock {
+        let told = "it stands still, or is no learner or actor";
+        return anyhow!(
+            "what listens at {address} does not answer within {}: {told}",
+            duration(PATIENCE)
+        );
+    }
+    anyhow!(
+        "nobody answers at {address}: {error}; start a learner or an actor with --status {address}"
+    )
 }
 
 fn ask(address: SocketAddr, path: &str) -> std::io::Result<String> {

@@ -603,5 +603,7 @@ pub fn get_tls_host<'a>(address: &'a Address<'a>) -> ZResult<&'a str> {
 }
 
 pub fn get_tls_server_name<'a>(address: &'a Address<'a>) -> ZResult<ServerName<'a>> {
-    Ok(ServerName::try_from(get_tls_host(address)?).map_err(|e| zerror!(e))?)
+    // An IPv6 address stands in brackets, with which it is no name.
+    let host = get_tls_host(address)?.trim_matches(['[', ']']);
+    Ok(ServerName::try_from(host).map_err(|e| zerror!(e))?)
 }
