@@ -139,7 +139,8 @@ fn health_tells_a_program_that_stands_still_or_is_another_one_from_nobody() {
     place.finish(&["health", &at]).with_code(3).saying(&[&told]);
     // The first to be accepted is the one that has given up.
     drop(listener.accept().unwrap());
-    let other = thread::spawn(move || {
+    let named = thread::Builder::new().name("foreign".to_owned());
+    let answering = named.spawn(move || {
         let (mut stream, _) = listener.accept().unwrap();
         let n_read = stream.read(&mut [0; 1024]).unwrap();
         assert!(n_read > 0);
@@ -147,7 +148,7 @@ fn health_tells_a_program_that_stands_still_or_is_another_one_from_nobody() {
     });
     let told = format!("what listens at {at} is no status page of a learner or an actor");
     place.finish(&["health", &at]).with_code(3).saying(&[&told]);
-    other.join().unwrap();
+    answering.unwrap().join().unwrap();
 }
 
 /// Has Python's strict parser read a page, where it is installed.

@@ -70,14 +70,14 @@ pub(crate) fn diagnose(endpoint: &Endpoint, identity: Option<&Identity>, whom: W
         },
         _ => match tcp(address, whom) {
             Err(obstacle) => obstacle,
-            Ok(stream) if speaks_tls(stream) => Obstacle::Encrypted,
+            Ok(stream) if speaks_tls(&stream) => Obstacle::Encrypted,
             Ok(_) => Obstacle::Stranger(whom),
         },
     }
 }
 
 /// Tells whether TLS is spoken there: what is no record of it is answered with an alert.
-fn speaks_tls(mut stream: TcpStream) -> bool {
+fn speaks_tls(mut stream: &TcpStream) -> bool {
     const NO_RECORD: &[u8] = b"\x05\0hello";
     const ALERT: [u8; 2] = [21, 3];
     let mut answer = [0; 2];
@@ -158,13 +158,14 @@ mod tests {
         ] {
             let listener = TcpListener::bind("127.0.0.1:0").unwrap();
             let port = listener.local_addr().unwrap().port();
-            let there = std::thread::spawn(move || {
+            let named = std::thread::Builder::new().name("foreign".to_owned());
+            let there = named.spawn(move || {
                 let (mut stream, _) = listener.accept().unwrap();
                 stream.read_exact(&mut [0; 7]).unwrap();
                 stream.write_all(answer).unwrap();
             });
             assert_eq!(at(&format!("tcp/127.0.0.1:{port}")), expected);
-            there.join().unwrap();
+            there.unwrap().join().unwrap();
         }
     }
 

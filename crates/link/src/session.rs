@@ -343,7 +343,9 @@ fn config(special: &[(&'static str, String)]) -> Config {
             .insert_json5(key, value)
             .unwrap_or_else(|error| panic!("setting `{key}` is not known to the network: {error}"));
     };
-    QUICK.iter().for_each(|priority| set(&queue_size(priority), &QUICK_BATCHES.to_string()));
+    for priority in QUICK {
+        set(&queue_size(priority), &QUICK_BATCHES.to_string());
+    }
     always.iter().chain(special).for_each(|(key, value)| set(key, value));
     config
 }
