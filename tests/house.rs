@@ -105,7 +105,7 @@ fn heavy_dependencies_belong_to_few_crates() {
         ("x509-parser", &["leadtime-certs"]),
         ("anyhow", &["leadtime"]),
         ("clap", &["leadtime"]),
-        ("sd-notify", &["leadtime-process"]),
+        ("sd-notify", &["leadtime"]),
         ("tracing-subscriber", &["leadtime-process"]),
         ("axum", &["leadtime-web"]),
         ("hyper", &["leadtime-web"]),

@@ -27,6 +27,7 @@ mod exit;
 mod log;
 mod output;
 mod program;
+mod service;
 mod sink;
 mod targets;
 mod terminal;

@@ -7,7 +7,6 @@ use leadtime_learner::{
     HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, RunHealth, UpdateProgress,
 };
 use leadtime_link::Archive;
-use leadtime_process::service::{self, Service};
 use leadtime_process::{MetricsPipe, ProcessTrace, shutdown};
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
@@ -17,6 +16,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::{debug, error, info, warn};
 
 use crate::display::Display;
+use crate::service::{self, Service};
 
 /// Records a run's progress and shows it.
 #[derive(Debug)]

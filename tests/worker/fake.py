@@ -11,6 +11,7 @@ import math
 import os
 import pickle
 import random
+import signal
 import socket
 import struct
 import sys
@@ -75,9 +76,13 @@ def main():
     threading.Thread(target=lifeline, daemon=True).start()
     if bad == "ends-at-once":
         sys.exit("no module named my_envs")
+    if bad == "killed-at-once":
+        os.kill(os.getpid(), signal.SIGKILL)
     out = socket.socket(socket.AF_UNIX)
     out.connect(os.environ["LEADTIME_WORKER_SOCKET"])
     incoming = out.makefile("rb")
+    if bad == "killed-before-hello":
+        os.kill(os.getpid(), signal.SIGKILL)
     if bad == "garbage-hello":
         out.sendall(b"HTTP/1.1 400 Bad Request\r\n\r\n")
         time.sleep(60)

@@ -3,7 +3,7 @@
 //! ```text
 //! log    logging: what is logged, and how ──> log_line: as JSON ──> log_file, or a writer of the caller's
 //!        refused: who is refused at the door, from the network library's warnings
-//! end    shutdown: signals, supervisor, deadline ──> one token          service: the service manager is told
+//! end    shutdown: signals, supervisor, deadline ──> one token
 //! files  new_file: nothing of the user's is overwritten                 trace_file: the file of a trace
 //! out    metrics_pipe: every update's metrics, for a command of the user's own
 //! ```
@@ -24,7 +24,6 @@ pub mod logging;
 mod metrics_pipe;
 mod new_file;
 mod refused;
-pub mod service;
 pub mod shutdown;
 mod trace_file;
 

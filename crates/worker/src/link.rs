@@ -13,7 +13,7 @@ use tracing::warn;
 
 use crate::error::Error;
 use crate::launch::WorkerLaunch;
-use crate::process::{LineLimit, WorkerProcess};
+use crate::process::{LineLimit, NotBegun, WorkerProcess};
 use crate::protocol::{
     FrameKind, FrameShape, FrameWriter, ProtocolError, StepRow, WorkerHello, read_stepped,
 };
@@ -55,9 +55,18 @@ impl WorkerLink {
     ///
     /// [`Error`] if it does not begin, or steps other environments than it should.
     pub(crate) fn start(launch: WorkerLaunch) -> Result<Self, Error> {
-        let started = WorkerProcess::start(&launch)?;
-        let (process, hello) =
-            started.map_err(|reason| Error::Start { command: launch.command.clone(), reason })?;
+        let mut n_killed = 0;
+        let (process, hello) = loop {
+            let NotBegun { how, was_killed } = match WorkerProcess::start(&launch)? {
+                Ok(begun) => break begun,
+                Err(not_begun) => not_begun,
+            };
+            n_killed += 1;
+            if !was_killed || n_killed == MAX_DEATHS {
+                return Err(Error::Start { command: launch.command.clone(), reason: how });
+            }
+            warn!("the worker `{}` is started again: {how}", launch.command);
+        };
         let shape = launch.check(&hello)?;
         Ok(Self {
             hello,
@@ -381,7 +390,7 @@ impl WorkerLink {
 
     fn start_again(&mut self) -> Result<(), String> {
         let started = WorkerProcess::start(&self.launch).map_err(|error| error.to_string())?;
-        let (process, hello) = started?;
+        let (process, hello) = started.map_err(|not_begun| not_begun.how)?;
         let shape = self.launch.check(&hello).map_err(|error| error.to_string())?;
         if shape != self.shape {
             return Err("it has other environments than before".to_owned());

@@ -6,8 +6,10 @@
 use std::collections::VecDeque;
 use std::io::{self, BufRead as _, BufReader, PipeReader, Read as _, Write as _};
 use std::net::Shutdown;
+use std::ops::Range;
 use std::os::unix::net::{UnixListener, UnixStream};
-use std::process::{ChildStdin, Command, Stdio};
+use std::os::unix::process::ExitStatusExt as _;
+use std::process::{ChildStdin, Command, ExitStatus, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -81,6 +83,15 @@ pub(crate) struct WorkerProcess {
     is_over: bool,
 }
 
+/// Why a worker did not begin.
+#[derive(Debug)]
+pub(crate) struct NotBegun {
+    /// What it said, or what was missing.
+    pub(crate) how: String,
+    /// Whether somebody killed it, so that it may well begin the next time.
+    pub(crate) was_killed: bool,
+}
+
 /// What a worker prints.
 #[derive(Debug)]
 struct Words {
@@ -89,8 +100,10 @@ struct Words {
 }
 
 impl WorkerProcess {
-    /// Starts a worker and waits for its hello; an error is what it said, or what was missing.
-    pub(crate) fn start(launch: &WorkerLaunch) -> io::Result<Result<(Self, WorkerHello), String>> {
+    /// Starts a worker and waits for its hello.
+    pub(crate) fn start(
+        launch: &WorkerLaunch,
+    ) -> io::Result<Result<(Self, WorkerHello), NotBegun>> {
         let preferred = std::env::temp_dir();
         let fits = preferred.as_os_str().len() <= MAX_BASE_BYTES;
         let base = if fits { preferred } else { "/tmp".into() };
@@ -113,9 +126,9 @@ impl WorkerProcess {
         let deadline = Instant::now() + launch.start_timeout();
         let stream = match accept(&listener, child.as_mut(), deadline) {
             Ok(stream) => stream,
-            Err(how) => {
+            Err(not_begun) => {
                 kill(child.as_mut());
-                return Ok(Err(words.explain(how)));
+                return Ok(Err(NotBegun { how: words.explain(not_begun.how), ..not_begun }));
             }
         };
         stream.set_nonblocking(false)?;
@@ -131,8 +144,14 @@ impl WorkerProcess {
         Ok(match hello.and_then(|body| read_hello(&body)) {
             Ok(hello) => Ok((worker, hello)),
             // Its own sentence needs no further words.
-            Err(ProtocolError::GaveUp(sentence)) => Err(sentence),
-            Err(error) => Err(worker.end(&error)),
+            Err(ProtocolError::GaveUp(how)) => Err(NotBegun { how, was_killed: false }),
+            Err(error) => {
+                let status = worker.ended(&error);
+                Err(NotBegun {
+                    was_killed: status.is_some_and(was_killed),
+                    how: worker.explain(status, &error),
+                })
+            }
         })
     }
 
@@ -183,13 +202,24 @@ impl WorkerProcess {
 
     /// Kills the worker and says how it ended: what was noticed, and its last words.
     pub(crate) fn end(mut self, noticed: &ProtocolError) -> String {
-        let ended = match noticed {
+        let status = self.ended(noticed);
+        self.explain(status, noticed)
+    }
+
+    /// Kills the worker; returns how it ended, if it did by itself.
+    fn ended(&mut self, noticed: &ProtocolError) -> Option<ExitStatus> {
+        let status = match noticed {
             // It takes a moment from closing the connection to being gone.
             ProtocolError::Closed => wait_for_end(self.child.as_mut(), Instant::now() + LAST_WORDS),
             _ => None,
         };
         kill(self.child.as_mut());
         self.is_over = true;
+        status
+    }
+
+    fn explain(&self, status: Option<ExitStatus>, noticed: &ProtocolError) -> String {
+        let ended = status.map(|status| format!("it ended ({status})"));
         self.words.explain(ended.unwrap_or_else(|| noticed.to_string()))
     }
 }
@@ -198,7 +228,7 @@ impl Drop for WorkerProcess {
     fn drop(&mut self) {
         if !self.is_over {
             let closes_by = self.let_go();
-            drop(wait_for_end(self.child.as_mut(), closes_by));
+            let _ = wait_for_end(self.child.as_mut(), closes_by);
             self.lifeline = None;
             kill(self.child.as_mut());
         }
@@ -214,11 +244,17 @@ fn kill(child: &mut dyn ChildWrapper) {
     }
 }
 
-/// Waits for the end of a process, and says how it ended; `None` if it has not by then.
-fn wait_for_end(child: &mut dyn ChildWrapper, deadline: Instant) -> Option<String> {
+/// Returns whether a signal ended a process, or what the shell had started for it.
+fn was_killed(status: ExitStatus) -> bool {
+    const SHELL_SAYS_SIGNAL: Range<i32> = 129..193;
+    status.signal().is_some() || status.code().is_some_and(|code| SHELL_SAYS_SIGNAL.contains(&code))
+}
+
+/// Waits for the end of a process, and returns how it ended; `None` if it has not by then.
+fn wait_for_end(child: &mut dyn ChildWrapper, deadline: Instant) -> Option<ExitStatus> {
     loop {
         match child.try_wait() {
-            Ok(Some(status)) => return Some(format!("it ended ({status})")),
+            Ok(Some(status)) => return Some(status),
             Ok(None) if Instant::now() < deadline => thread::sleep(ACCEPT_PAUSE),
             _ => return None,
         }
@@ -230,18 +266,20 @@ fn accept(
     listener: &UnixListener,
     child: &mut dyn ChildWrapper,
     deadline: Instant,
-) -> Result<UnixStream, String> {
+) -> Result<UnixStream, NotBegun> {
+    let not_begun = |how| NotBegun { how, was_killed: false };
     loop {
         match listener.accept() {
             Ok((stream, _)) => return Ok(stream),
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
-            Err(error) => return Err(error.to_string()),
+            Err(error) => return Err(not_begun(error.to_string())),
         }
         if let Ok(Some(status)) = child.try_wait() {
-            return Err(format!("it ended before it said hello ({status})"));
+            let how = format!("it ended before it said hello ({status})");
+            return Err(NotBegun { how, was_killed: was_killed(status) });
         }
         if Instant::now() >= deadline {
-            return Err("it did not say hello in time".to_owned());
+            return Err(not_begun("it did not say hello in time".to_owned()));
         }
         thread::sleep(ACCEPT_PAUSE);
     }

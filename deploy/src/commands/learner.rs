@@ -8,7 +8,7 @@ use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
 use leadtime_link::Endpoint;
-use leadtime_process::{MetricsPipe, ProcessTrace, TraceFile, log_line, service};
+use leadtime_process::{MetricsPipe, ProcessTrace, TraceFile, log_line};
 use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
@@ -30,6 +30,7 @@ use crate::credentials::{guard_options, is_wrong_address, is_wrong_input, listen
 use crate::ending::{Watch, drain_on_request, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW, EVALUATE};
+use crate::service;
 use crate::sink::{RunSink, held_out_sentence};
 
 /// Where a learner listens if nothing else is said; with a certificate by TLS, else by TCP.

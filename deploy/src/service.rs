@@ -19,7 +19,7 @@ static HAS_WARNED: AtomicBool = AtomicBool::new(false);
 
 /// The run's side of the service manager.
 #[derive(Debug)]
-pub struct Service {
+pub(crate) struct Service {
     is_ready: bool,
     /// How often the watchdog wants to hear something, at least.
     watchdog: Option<Duration>,
@@ -28,12 +28,12 @@ pub struct Service {
 
 impl Service {
     /// Looks whether there is a service manager, and whether it watches.
-    pub fn find() -> Self {
+    pub(crate) fn find() -> Self {
         Self { is_ready: false, watchdog: watchdog_enabled(), last_sign: None }
     }
 
     /// Notes that the run's loop went round, with or without enough actors.
-    pub fn tick(&mut self, is_complete: bool) {
+    pub(crate) fn tick(&mut self, is_complete: bool) {
         if is_complete && !std::mem::replace(&mut self.is_ready, true) {
             tell(&NotifyState::Ready);
         }
@@ -46,17 +46,17 @@ impl Service {
 }
 
 /// Says that the process needs nothing more: a manager that waits for it to be ready would take its end for a failure.
-pub fn ready() {
+pub(crate) fn ready() {
     tell(&NotifyState::Ready);
 }
 
 /// Says that the process is about to end.
-pub fn stopping() {
+pub(crate) fn stopping() {
     tell(&NotifyState::Stopping);
 }
 
 /// Asks for more time to end.
-pub fn extend(time: Duration) {
+pub(crate) fn extend(time: Duration) {
     let micros = u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
     tell(&NotifyState::ExtendTimeoutUsec(micros));
 }
