@@ -73,7 +73,7 @@ struct LearnerSite {
 /// Everything that a learner has declared on a session.
 #[derive(Debug)]
 struct LearnerDeclarations {
-    announcer: Arc<Publisher<'static>>,
+    announcer: Publisher<'static>,
     _taken: [Subscriber<()>; 3],
     _answered: [Queryable<()>; 2],
     /// For observers; empty until there is something to tell.
@@ -334,7 +334,7 @@ impl LearnerSite {
         let archive = lock(&self.archive).clone();
         let archive = archive.map(|archive| self.serve(session, archive)).transpose()?;
         Ok(LearnerDeclarations {
-            announcer: Arc::new(announcer),
+            announcer,
             _taken: [rollouts, actors, learners],
             _answered: [pulls, hellos],
             archive: archive.into_iter().flatten().collect(),
@@ -350,8 +350,9 @@ impl LearnerSite {
 
     /// Tells everyone which weights there are.
     fn announce(&self) -> Result<()> {
-        let announcer = lock(&self.declared).as_ref().map(|it| Arc::clone(&it.announcer));
-        announcer.map_or(Ok(()), |announcer| weights::announce(&announcer, &self.store))
+        // Locked, so that no other session takes this one's place meanwhile: on a closed one it fails, which ends a run.
+        let declared = lock(&self.declared);
+        declared.as_ref().map_or(Ok(()), |it| weights::announce(&it.announcer, &self.store))
     }
 
     /// Replaces a connection to a router that leads nowhere, if one attempt opens another.

@@ -29,7 +29,8 @@
 //! | flow | priority | when the network is congested |
 //! |---|---|---|
 //! | control (hello, orders) | `RealTime` | waits |
-//! | credit, announcements | `InteractiveHigh` | dropped; both are repeated |
+//! | announcements | `InteractiveHigh` | dropped; repeated every second |
+//! | credit | `InteractiveLow` | dropped; repeated twice a second |
 //! | rollouts, weights | `Data` | waits; publish from a thread of its own |
 //! | metrics | `Background` | dropped |
 //! | about, history | `Background` | waits; answered by threads of their own |

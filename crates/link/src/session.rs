@@ -25,7 +25,8 @@ pub(crate) const ACTOR_WAIT_BEFORE_CLOSE_US: u64 = 60_000_000;
 pub(crate) const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
 /// Messages that may wait for a link in each of [`QUICK`] (the most there can be; 2 by default). Where there is no room for a
 /// thousandth of a second they are dropped, and on a busy machine the thread that sends them waits longer than that: an actor that
-/// misses an announcement stands still until it is repeated, and a recorder is sent several messages for each step.
+/// misses an announcement stands still until it is repeated, and a recorder is sent several messages for each step. Room is made when
+/// a message first needs it, 64 KiB each, and kept: a short message uses a page of that.
 const QUICK_BATCHES: usize = 16;
 /// The priorities of messages that are sent at once and dropped rather than waited for: speech, announcements, credit.
 const QUICK: [&str; 3] = ["real_time", "interactive_high", "interactive_low"];
