@@ -265,8 +265,10 @@ fn contents(directory: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
 
 #[test]
 fn an_ipv6_address_in_brackets_is_dialled_under_the_certificate_for_it() {
-    let Ok(free) = TcpListener::bind("[::1]:0") else { return };
-    drop(free);
+    if let Err(error) = TcpListener::bind("[::1]:0") {
+        println!("skipped: there is no IPv6 here: {error}");
+        return;
+    }
     let place = Place::new();
     place.finish(&["certs init pki"]).with_code(0);
     place.finish(&["certs issue pki router:r1@::1 observer:o1"]).with_code(0);
