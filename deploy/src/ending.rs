@@ -1,4 +1,7 @@
 //! How a command ends that is asked to end: whether that is a failure, and with which exit code if it takes too long.
+//!
+//! SIGUSR1 drains a learner, or a command with its learners (`up`, `race`, `compare`): it ends as on SIGTERM, with success.
+//! `smoke` ends so without success, which would say that it has passed.
 
 use std::io;
 use std::process;

@@ -1,4 +1,4 @@
-//! How the log is begun that the command line asks for, and whether a person wants to read it.
+//! Begins the log that the command line asks for, and tells whether a person wants to read it.
 
 use std::env;
 

@@ -137,6 +137,7 @@ mod tests {
         assert_eq!(fs::read_to_string(&path).unwrap(), "four\n");
         assert!(LogFile::open(&directory.path().join("no/log")).is_err());
     }
+
     #[test]
     fn a_pipe_that_nobody_reads_is_refused_and_one_that_is_read_gets_the_lines() {
         let directory = tempfile::tempdir().unwrap();

@@ -6,8 +6,8 @@
 //! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang. A learner that cannot save what it has
 //! learned may go on trying for [`UNSAVED_TIME`].
 //!
-//! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 drains a learner, or a command with its learners (`up`, `race`,
-//! `compare`): it ends as on SIGTERM, with success. `smoke` ends so without success, which would say that it has passed.
+//! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 ends whoever asks for it ([`drain_on_request`]) as SIGTERM does;
+//! whether that is a success is the caller's.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.
