@@ -14,8 +14,9 @@ use crate::{ConnectSettings, Error, Result, ask, session};
 
 /// Longest wait for one answer to "which learners are there?".
 const LOOK: Duration = Duration::from_secs(1);
-/// How long a learner that is present may take to show that it is alive: longer than one that was killed stays visible.
-const PROOF_OF_LIFE: Duration = Duration::from_secs(3);
+/// How long a learner that is present may take to show that it is alive. One that was killed is waited for only as long as it stays
+/// visible, which is less: the rest is for one on a busy machine.
+const PROOF_OF_LIFE: Duration = Duration::from_secs(6);
 /// How long a run that was named may be missing while others are there.
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
 /// First and longest pause between attempts to find a run.
