@@ -267,8 +267,12 @@ class Flattener:
         return np.array(values.ravel(), np.float32)
 
     def check(self, space, value, what):
-        """Refuses what Gymnasium would flatten to other numbers, or to more or fewer of them."""
-        spaces = self.spaces
+        """Refuses what Gymnasium would flatten to other numbers, or to more or fewer of them.
+
+        What it flattens well is taken, even where its `contains` is stricter: a truth value as a choice, whole numbers of another
+        type, an array of one number instead of that number.
+        """
+        spaces, np = self.spaces, self.np
         if isinstance(space, spaces.Dict):
             if not isinstance(value, Mapping):
                 raise Refused(f"{what} is {shown(value)}, which is no dict")
@@ -277,15 +281,30 @@ class Flattener:
                     raise Refused(f"{what} has no `{key}`, and the observation space has")
                 self.check(part, value[key], f"`{key}` of {what}")
         elif isinstance(space, spaces.Tuple):
-            if not isinstance(value, (tuple, list)) or len(value) != len(space.spaces):
+            if not isinstance(value, (tuple, list, np.ndarray)) or len(value) != len(space.spaces):
                 raise Refused(f"{what} is {shown(value)}, not a tuple of {len(space.spaces)}")
             for i, part in enumerate(space.spaces):
                 self.check(part, value[i], f"part {i} of {what}")
         elif isinstance(space, spaces.Box):
-            if self.np.shape(value) != space.shape:
-                raise Refused(f"{what} has shape {self.np.shape(value)}, not {space.shape}")
+            if not self.fits(space, value):
+                raise Refused(f"{what} has shape {np.shape(value)}, not {space.shape}")
+        elif isinstance(space, (spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
+            if not self.fits(space, value) or not self.is_choice(space, np.asarray(value)):
+                raise Refused(f"{what} is {shown(value)}, which is not in {space}")
         elif not space.contains(value):
             raise Refused(f"{what} is {shown(value)}, which is not in {space}")
+
+    def fits(self, space, value):
+        """Returns whether a value has the shape of a space; that of one number may be any."""
+        np = self.np
+        return np.shape(value) == space.shape or np.size(value) == np.prod(space.shape, dtype=int) == 1
+
+    def is_choice(self, space, value):
+        """Returns whether the numbers of an array are among those of a space of choices."""
+        if isinstance(space, self.spaces.MultiBinary):
+            return value.dtype.kind in "biuf" and bool(((value == 0) | (value == 1)).all())
+        n = space.n if isinstance(space, self.spaces.Discrete) else space.nvec
+        return value.dtype.kind in "biu" and bool(((value >= space.start) & (value <= space.start + (n - 1))).all())
 
     def look(self, rows):
         """Tells once that observations leave their Box, which costs them nothing."""

@@ -278,11 +278,21 @@ def test_what_a_step_returns_is_taken_for_what_it_is_or_refused_by_name():
                               (both, {"a": [0, 0]}, "an observation has no `b`, and the observation space has"),
                               (both, [0, 0], "an observation is [0, 0], which is no dict"),
                               (in_turn, ([0, 0],), "an observation is ([0, 0],), not a tuple of 2"),
-                              (in_turn, ([0, 0], np.array([1, 3])), "part 1 of an observation is array([1, 3]), which is not in MultiDiscrete([2 3])")]:
+                              (in_turn, ([0, 0], np.array([1, 3])), "part 1 of an observation is array([1, 3]), which is not in MultiDiscrete([2 3])"),
+                              (in_turn, ([0, 0], [1]), "part 1 of an observation is [1], which is not in MultiDiscrete([2 3])"),
+                              (both, {"a": [0, 0], "b": 1.5}, "`b` of an observation is 1.5, which is not in Discrete(3)")]:
         _, failures = step({0: seen}, space)
         assert failures == [told], failures
-    _, failures = step({0: {"a": [0, 0], "b": 1, "further": None}}, both)
-    assert not failures, failures
+    # What it flattens well is taken, even what it does not count as part of the space.
+    wide, one = spaces.Tuple([box, spaces.Box(0, 1, (2,))]), spaces.Dict(a=spaces.Box(0, 1, (1,)), b=spaces.Discrete(2))
+    small = spaces.Tuple([spaces.Discrete(3), spaces.MultiDiscrete([2, 3], dtype=np.int8), spaces.MultiBinary(2)])
+    for space, seen, expected in [(both, {"a": [0, 0], "b": 1, "further": None}, [0, 0, 0, 1, 0]),
+                                  (wide, np.array([[0, 1], [1, 0]]), [0, 1, 1, 0]),
+                                  (one, {"a": 0.5, "b": np.bool_(True)}, [0.5, 0, 1]),
+                                  (one, {"a": [[0.5]], "b": np.array([1])}, [0.5, 0, 1]),
+                                  (small, [np.int64(2), np.array([1, 2]), np.array([1.0, 0.0])], [0, 0, 1, 0, 1, 0, 0, 1, 1, 0])]:
+        (row, _, _, _, _), failures = step({0: seen}, space)
+        assert not failures and row.tolist() == expected, (seen, failures, row)
 
 
 def test_what_makes_an_environment_gets_what_it_takes():

@@ -3,7 +3,7 @@
 #![expect(clippy::print_stdout, reason = "a part that is skipped says so")]
 
 use std::fs;
-use std::io::{Read as _, Write as _};
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::os::linux::net::SocketAddrExt as _;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
@@ -141,10 +141,11 @@ fn health_tells_a_program_that_stands_still_or_is_another_one_from_nobody() {
     drop(listener.accept().unwrap());
     let named = thread::Builder::new().name("foreign".to_owned());
     let answering = named.spawn(move || {
-        let (mut stream, _) = listener.accept().unwrap();
-        let n_read = stream.read(&mut [0; 1024]).unwrap();
-        assert!(n_read > 0);
-        stream.write_all(b"SSH-2.0-OpenSSH_9.6\r\n").unwrap();
+        let (stream, _) = listener.accept().unwrap();
+        // The whole question.
+        let mut lines = BufReader::new(&stream).lines();
+        assert!(lines.any(|line| line.unwrap().is_empty()));
+        (&stream).write_all(b"SSH-2.0-OpenSSH_9.6\r\n").unwrap();
         drop(stream);
         // Closed before all of the question is read, the connection is broken off.
         listener.accept().unwrap().0.read_exact(&mut [0]).unwrap();

@@ -102,7 +102,8 @@ fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
         ("huge-frame", "a frame of 2147483648 bytes"),
         ("raises", "its step is taken again"),
         ("killed-at-once", "is started again: it ended before it said hello"),
-        ("killed-before-hello", "is started again: it ended ("),
+        // Whether its connection was noticed before its end is a matter of luck.
+        ("killed-before-hello", "is started again: it ended"),
     ] {
         let flag = place.file(&format!("{mode}.flag"));
         let (found, finished) = train(&place, mode, &format!("{mode} {flag}"), "");
