@@ -90,6 +90,9 @@ def shortened(line):
     elif line.startswith("leadtime watch") and "--once" not in line:
         # The page is there until it is ended.
         line, more = re.sub(r" --(http|token|play) \S+", "", line), " --once"
+    elif line.startswith("leadtime script-search"):
+        more = "" if "--episodes" in line else " --episodes 50"
+        more += "" if "--steps" in line else " --steps 20000"
     elif line.startswith("leadtime probe"):
         line = line.replace(" made", " varied")
     line = re.sub(r"--episodes (\d+)", lambda number: f"--episodes {min(int(number[1]), 50)}", line)
