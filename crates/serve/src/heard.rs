@@ -76,7 +76,7 @@ mod tests {
                 r#"{"utterance":1,"event":"sad"}"#,
                 "`event` has to be start, word, end or cut; it is",
             ),
-            (r#"{"utterance":1,"event":"word","wrod":1}"#, "did you mean `word`?"),
+            (r#"{"utterance":1,"event":"word","words":1}"#, "did you mean `word`?"),
             (r#"{"utterance":4294967296,"event":"end"}"#, "a whole number; it is 4294967296"),
         ] {
             let fault = read(text).unwrap_err().to_string();
