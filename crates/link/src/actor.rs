@@ -44,7 +44,7 @@ use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
 use crate::redial::ClientSession;
 use crate::wire::ProvedMessage;
-use crate::{ConnectSettings, ControlResponder, Error, Result, session, weights, wire};
+use crate::{ConnectSettings, ControlResponder, Error, Result, weights, wire};
 
 /// Threads that answer orders; there is one learner to answer.
 const N_ANSWERING: usize = 1;
@@ -350,12 +350,13 @@ impl ActorLink {
 
     /// Replaces a connection that leads nowhere.
     async fn renew(&self) {
-        let Some(session) = self.session.successor().await else { return };
-        // What was declared on the old session ends with it.
-        *lock(&self.joined) = None;
-        *lock(&self.entered) = None;
-        let before = self.session.replace(session);
-        drop(session::close(&before).await);
+        let take_over = |session: &Session| {
+            // What was declared on the old session ends with it.
+            *lock(&self.joined) = None;
+            *lock(&self.entered) = None;
+            Ok(self.session.replace(session.clone()))
+        };
+        self.session.renew(take_over).await;
     }
 
     fn entered(&self) -> Result<Arc<Membership>> {
@@ -543,7 +544,7 @@ mod tests {
         actor.session.replace(nowhere).close().await.unwrap();
         until(&events, |event| matches!(event, crate::LearnerEvent::Left(..)).then_some(())).await;
         actor.renew().await;
-        assert!(!session::has_peer(&actor.session()).await, "not yet");
+        assert!(!crate::session::has_peer(&actor.session()).await, "not yet");
 
         actor.session.wait_long();
         say_hello(&actor, "a", &events).await;

@@ -357,15 +357,7 @@ impl LearnerSite {
 
     /// Replaces a connection to a router that leads nowhere, if one attempt opens another.
     async fn renew(&self) {
-        let Some(session) = self.session.successor().await else { return };
-        let done_with = match self.take_over(&session) {
-            Ok(before) => before,
-            Err(error) => {
-                debug!(%error, "the run cannot be declared on the new connection");
-                session
-            }
-        };
-        drop(session::close(&done_with).await);
+        self.session.renew(|session| self.take_over(session)).await;
     }
 
     /// Moves everything to another session; returns the one before it.

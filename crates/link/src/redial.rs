@@ -56,9 +56,20 @@ impl ClientSession {
         lock(&self.session).clone()
     }
 
+    /// Replaces this session if it has had nobody at its other end for [`STRANDED`] and one attempt opens another: `take_over` moves
+    /// to the new one what was declared, and returns the one before it. Where that fails, this one stays.
+    pub(crate) async fn renew(&self, take_over: impl FnOnce(&Session) -> Result<Session>) {
+        let Some(session) = self.successor().await else { return };
+        let done_with = take_over(&session).unwrap_or_else(|error| {
+            debug!(%error, "nothing can be declared on the new connection");
+            session
+        });
+        drop(session::close(&done_with).await);
+    }
+
     /// Opens another connection if this one has had nobody at its other end for [`STRANDED`]; `None` if that is not so, if this one
     /// was closed on purpose or listens, or if one attempt opens none.
-    pub(crate) async fn successor(&self) -> Option<Session> {
+    async fn successor(&self) -> Option<Session> {
         let settings = self.settings.as_ref()?;
         let before = self.now();
         if before.is_closed() {
@@ -161,17 +172,8 @@ impl LastingSession {
         self.client.close().await
     }
 
-    /// Replaces a session that has had nobody at its other end for [`STRANDED`], if one attempt opens another.
     async fn renew(&self) {
-        let Some(session) = self.client.successor().await else { return };
-        let done_with = match self.take_over(&session) {
-            Ok(before) => before,
-            Err(error) => {
-                debug!(%error, "the new connection cannot be subscribed on");
-                session
-            }
-        };
-        drop(session::close(&done_with).await);
+        self.client.renew(|session| self.take_over(session)).await;
     }
 
     /// Moves everything to another session; returns the one before it.

@@ -7,21 +7,11 @@ use thiserror::Error;
 
 /// Why something around a process's work cannot be had.
 #[derive(Debug, Error)]
+#[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum Error {
-    /// What is to be logged is said in a way that cannot be read.
-    #[error("{variable} {reason}; write a level (`debug`) or `module=level,...`")]
-    Filter {
-        /// Where it is said.
-        variable: &'static str,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// The file of a trace cannot be made.
+    /// The variable that says what is logged, and what is wrong with it.
+    #[error("{0}; write a level (`debug`) or `module=level,...`")]
+    Filter(String),
     #[error("cannot write a trace to {}", path.display())]
-    Trace {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
+    Trace { path: PathBuf, source: io::Error },
 }

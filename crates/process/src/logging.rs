@@ -59,7 +59,7 @@ pub fn start(filter: LogFilter, style: LogStyle) {
 ///
 /// [`Error::Filter`] if that is not a filter.
 pub fn filter(level: &str, wanted: Result<String, VarError>) -> Result<LogFilter, Error> {
-    let refused = |reason: String| Error::Filter { variable: VARIABLE, reason };
+    let refused = |reason: String| Error::Filter(format!("{VARIABLE} {reason}"));
     match wanted {
         Ok(wanted) if !wanted.trim().is_empty() => EnvFilter::try_new(&wanted)
             .map_err(|error| refused(format!("is `{wanted}`, which is not a filter: {error}"))),

@@ -6,7 +6,7 @@
 //! ([`SUPERVISOR_DEADLINE`]): it must outlive its children to kill those that hang. A learner that cannot save what it has
 //! learned may go on trying for [`UNSAVED_TIME`].
 //!
-//! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 ends whoever asks for it ([`drain_on_request`]) as SIGTERM does;
+//! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 ends a process that asks for it ([`drain_on_request`]) as SIGTERM does;
 //! whether that is a success is the caller's.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and

@@ -19,7 +19,7 @@ use crate::record::RECORD;
 pub fn find_run(runs: &Path, name: &Path) -> Result<PathBuf, RunDirError> {
     let candidates = [name.to_owned(), runs.join(name)];
     let whole = candidates.iter().find(|path| path.join(RECORD).exists());
-    // One that has lost its record is a run all the same, and whoever reads it says what is missing.
+    // A run that has lost its record is still a run: reading it says what is missing.
     let found = whole.or_else(|| candidates.iter().find(|path| is_run(path)));
     found.cloned().ok_or_else(|| {
         let meant = did_you_mean_run(runs, name);

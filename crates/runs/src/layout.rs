@@ -193,9 +193,7 @@ pub(crate) fn make_directory(path: &Path) -> Result<(), RunDirError> {
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
     let path = path.join(file);
     let io = |source| RunDirError::Io { path: path.clone(), source };
-    if path.symlink_metadata().is_ok() {
-        regular::check(&path).map_err(io)?;
-    }
+    regular::check_if_there(&path).map_err(io)?;
     // What its holder has written stays until the lock is ours.
     let mut options = OpenOptions::new();
     let file = options.read(true).write(true).create(true).truncate(false).open(&path);

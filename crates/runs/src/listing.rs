@@ -64,9 +64,7 @@ impl ListedRun {
     /// If the directory cannot be read.
     pub fn all(runs: &Path) -> io::Result<Vec<Self>> {
         let mut rows = Vec::new();
-        if let Some(sentence) = regular::dead_link(runs) {
-            return Err(io::Error::new(io::ErrorKind::NotFound, sentence));
-        }
+        regular::refuse_dead_link(runs)?;
         if runs.exists() {
             let entries = fs::read_dir(runs)?.filter_map(Result::ok);
             rows.extend(entries.filter_map(|entry| row(&entry.path())));

@@ -70,9 +70,7 @@ pub struct OldRun {
 /// If the directory cannot be read.
 pub fn old_runs(runs: &Path, rule: PruneRule) -> io::Result<Vec<OldRun>> {
     let mut all: Vec<(String, PathBuf)> = Vec::new();
-    if let Some(sentence) = regular::dead_link(runs) {
-        return Err(io::Error::new(io::ErrorKind::NotFound, sentence));
-    }
+    regular::refuse_dead_link(runs)?;
     for entry in fs::read_dir(runs)? {
         let entry = entry?;
         let name = entry.file_name().into_string();

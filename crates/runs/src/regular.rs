@@ -2,7 +2,7 @@
 //!
 //! Anything may lie where a run's files are looked for, or be given for one. A pipe would keep its reader waiting for ever.
 
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
 use std::path::Path;
 
@@ -36,20 +36,32 @@ pub fn read_to_string(path: &Path) -> io::Result<String> {
 
 /// Refuses something else than a file, and what is not there.
 pub(crate) fn check(path: &Path) -> io::Result<()> {
-    let found = fs::metadata(path).map_err(|error| match dead_link(path) {
-        // Of the same kind: for those who can do without it, it is not there.
-        Some(sentence) => io::Error::new(error.kind(), sentence),
-        None => error,
-    });
-    if found?.is_file() {
+    let found = fs::metadata(path);
+    if found.map_err(|error| refuse_dead_link(path).err().unwrap_or(error))?.is_file() {
         return Ok(());
     }
     let name = path.file_name().unwrap_or(path.as_os_str()).display();
     Err(io::Error::new(io::ErrorKind::InvalidInput, format!("{name} is not a file")))
 }
 
+/// Refuses something else than a file, but not that nothing is there.
+pub(crate) fn check_if_there(path: &Path) -> io::Result<()> {
+    // A link that leads nowhere is there.
+    if path.symlink_metadata().is_ok() { check(path) } else { Ok(()) }
+}
+
+/// Opens a file to write at its end, and makes it where nothing is there.
+pub(crate) fn append_to(path: &Path) -> io::Result<File> {
+    check_if_there(path)?;
+    OpenOptions::new().create(true).append(true).open(path)
+}
+
 /// Makes nothing of what is not there.
-pub(crate) fn if_there<T>(found: io::Result<T>) -> io::Result<Option<T>> {
+///
+/// # Errors
+///
+/// That of what was looked for, unless it is not there.
+pub fn if_there<T>(found: io::Result<T>) -> io::Result<Option<T>> {
     match found {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         found => found.map(Some),
@@ -62,6 +74,14 @@ pub(crate) fn dead_link(path: &Path) -> Option<String> {
     let name = path.file_name().unwrap_or(path.as_os_str()).display();
     let is_dead = fs::metadata(path).is_err_and(|error| error.kind() == io::ErrorKind::NotFound);
     is_dead.then(|| format!("{name} is a link to {}, and nothing is there", target.display()))
+}
+
+/// Refuses a link at whose end nothing is. For those who can do without what it leads to, that is not there.
+pub(crate) fn refuse_dead_link(path: &Path) -> io::Result<()> {
+    match dead_link(path) {
+        Some(sentence) => Err(io::Error::new(io::ErrorKind::NotFound, sentence)),
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]

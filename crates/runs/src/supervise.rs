@@ -16,7 +16,6 @@
 //! that killing a child kills what it started.
 
 use std::ffi::OsString;
-use std::fs::OpenOptions;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{ChildStdin, Command, Stdio};
@@ -230,13 +229,7 @@ impl ChildHandle {
     }
 
     fn spawn(&self) -> io::Result<ChildProcess> {
-        let open = |path: &PathBuf| {
-            if path.symlink_metadata().is_ok() {
-                regular::check(path)?;
-            }
-            OpenOptions::new().create(true).append(true).open(path)
-        };
-        let stderr = self.stderr_log.as_ref().map(open).transpose()?;
+        let stderr = self.stderr_log.as_deref().map(regular::append_to).transpose()?;
         let stderr = stderr.map_or_else(Stdio::inherit, Stdio::from);
         let stdout = if self.shows_results { Stdio::inherit() } else { Stdio::null() };
         let mut command = Command::new((self.program)()?);

@@ -1,7 +1,6 @@
 //! The index of results: every study's main tables, from the data next to it.
 
 use std::fs;
-use std::io::ErrorKind;
 use std::path::Path;
 
 use leadtime_runs::regular;
@@ -26,12 +25,8 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
     let mut page = BEGINNING.to_owned()
         + "`leadtime compare` writes this page. Each study's own page has every measure, and says where its numbers come \
            from.\n\n";
-    match regular::read_to_string(&results.join(VERDICT)) {
-        Err(error) if error.kind() == ErrorKind::NotFound => {}
-        verdict => {
-            let verdict = verdict.map_err(Error::file("reading", &results.join(VERDICT)))?;
-            page.extend(["## Does it reproduce the paper?\n\n", &verdict, "\n"]);
-        }
+    if let Some(verdict) = text_of(&results.join(VERDICT))? {
+        page.extend(["## Does it reproduce the paper?\n\n", &verdict, "\n"]);
     }
     page.push_str(&others(results)?);
     let mut missing = Vec::new();
@@ -59,10 +54,7 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
 /// Makes sure that the index of a directory replaces nothing but an earlier one.
 pub(crate) fn check(results: &Path) -> Result<(), Error> {
     let path = results.join(FILE);
-    let text = match regular::read_to_string(&path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-        text => text.map_err(Error::file("reading", &path))?,
-    };
+    let Some(text) = text_of(&path)? else { return Ok(()) };
     ensure(text.starts_with(BEGINNING), || {
         format!(
             "{} was not written by `leadtime compare`, whose index would replace it; use another --out",
@@ -73,19 +65,17 @@ pub(crate) fn check(results: &Path) -> Result<(), Error> {
 
 /// Tells whether a file is there and holds the data of a study, of whichever release.
 pub(crate) fn is_data(path: &Path) -> Result<bool, Error> {
-    let text = match regular::read_to_string(path) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
-        text => text.map_err(Error::file("reading", path))?,
-    };
+    let Some(text) = text_of(path)? else { return Ok(false) };
     Ok(serde_json::from_str::<Value>(&text).is_ok_and(|data| data["study"].is_string()))
 }
 
+/// Reads a file of text; `None` if it is not there.
+fn text_of(path: &Path) -> Result<Option<String>, Error> {
+    regular::if_there(regular::read_to_string(path)).map_err(Error::file("reading", path))
+}
+
 fn read(path: &Path) -> Result<Option<StudyResult>, Error> {
-    let text = match regular::read_to_string(path) {
-        Ok(text) => text,
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(Error::file("reading", path)(error)),
-    };
+    let Some(text) = text_of(path)? else { return Ok(None) };
     let foreign = |error: serde_json::Error| {
         Error::Refused(format!("{} is not a study's result: {error}", path.display()))
     };
