@@ -17,6 +17,8 @@
 //! ```
 //!
 //! The keys come from [`crate::keys`], with placeholders for names, so the list follows the layout.
+//!
+//! A learner that listens without a list keeps one thing for itself, the rollouts of its run: [`for_us_alone`].
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -28,7 +30,7 @@ use leadtime_proto::{
 use serde_json::{Value, json};
 use zenoh::config::Config;
 
-use crate::keys::{Key, Member, ROOT};
+use crate::keys::{Key, Keys, Member, ROOT};
 use crate::live::{LIVE_ROOT, LiveKey, LiveTopic};
 use crate::{Error, Result};
 
@@ -136,6 +138,30 @@ impl AccessList {
         }
         (SETTING, list.to_string())
     }
+}
+
+/// Returns the setting of a session that passes on nothing of what comes at these keys, and lets everybody do everything else.
+///
+/// Without it, who reads everything is sent every rollout, and one that stops reading holds up the connections on which they arrive.
+/// What this session itself subscribes to does not pass here: the network library asks the list about its connections only, and not about
+/// its own subscribers. A subject that names nothing is everybody.
+pub(crate) fn for_us_alone(keys: Keys<'_>) -> (&'static str, String) {
+    const RULE: &str = "what comes here is for this process";
+    const SUBJECT: &str = "everybody";
+    let list = json!({
+        "enabled": true,
+        "default_permission": "allow",
+        "rules": [{
+            "id": RULE,
+            "messages": ["put", "delete"],
+            "flows": ["egress"],
+            "permission": "deny",
+            "key_exprs": [keys.to_string()],
+        }],
+        "subjects": [{ "id": SUBJECT }],
+        "policies": [{ "rules": [RULE], "subjects": [SUBJECT] }],
+    });
+    (SETTING, list.to_string())
 }
 
 /// What a subject may send or be sent.

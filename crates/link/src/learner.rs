@@ -97,7 +97,8 @@ impl LearnerLink {
         settings: &ListenSettings,
     ) -> Result<(Self, flume::Receiver<LearnerEvent>)> {
         let (domain, incarnation) = (DomainName::new(domain)?, start.incarnation());
-        let session = ClientSession::of_learner(settings).await?;
+        let own = Keys::RolloutsOf(run, &domain);
+        let session = ClientSession::of_learner(settings, own).await?;
         if let Err(error) = check_alone(&session.now(), run, settings).await {
             drop(session.close().await);
             return Err(error);

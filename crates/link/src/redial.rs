@@ -12,6 +12,7 @@ use tracing::{debug, info};
 use zenoh::pubsub::Subscriber;
 use zenoh::session::Session;
 
+use crate::keys::Keys;
 use crate::lock::lock;
 use crate::session::{ACTOR_WAIT_BEFORE_CLOSE_US, LEARNER_WAIT_BEFORE_CLOSE_US};
 use crate::{ConnectSettings, ListenSettings, Result, session};
@@ -40,9 +41,9 @@ impl ClientSession {
         Ok(Self::new(session, Some(settings.clone()), ACTOR_WAIT_BEFORE_CLOSE_US))
     }
 
-    /// Opens a learner's session, which is a client's if it only connects to a router.
-    pub(crate) async fn of_learner(settings: &ListenSettings) -> Result<Self> {
-        let session = session::listen(settings).await?;
+    /// Opens a learner's session, which is a client's if it only connects to a router. What arrives at the keys `own` is for it alone.
+    pub(crate) async fn of_learner(settings: &ListenSettings, own: Keys<'_>) -> Result<Self> {
+        let session = session::listen(settings, own).await?;
         let above = settings.endpoints.is_empty().then(|| session::upwards(settings));
         Ok(Self::new(session, above, LEARNER_WAIT_BEFORE_CLOSE_US))
     }

@@ -27,7 +27,7 @@ impl RouterLink {
         if settings.endpoints.is_empty() {
             return Err(Error::NoEndpoint);
         }
-        let session = session::listen_as("router", settings).await?;
+        let session = session::listen_as_router(settings).await?;
         let locators = session.info().locators().await;
         Ok(Self {
             locators: locators.iter().map(ToString::to_string).collect(),

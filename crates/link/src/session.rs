@@ -15,7 +15,8 @@ use zenoh::session::Session;
 
 use crate::diagnose::diagnose;
 use crate::error::NetworkFault;
-use crate::{AccessList, Endpoint, Error, Result, security};
+use crate::keys::Keys;
+use crate::{AccessList, Endpoint, Error, Result, access, security};
 
 /// After this silence a peer counts as gone (frozen host, cut cable); a killed process is noticed at once.
 const LEASE_MS: u64 = 2_000;
@@ -30,6 +31,9 @@ pub(crate) const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
 const QUICK_BATCHES: usize = 16;
 /// The priorities of messages that are sent at once and dropped rather than waited for: speech, announcements, credit.
 const QUICK: [&str; 3] = ["real_time", "interactive_high", "interactive_low"];
+/// The largest message that a learner or a router takes: twice the largest rollout, so that what is a little too large is refused and
+/// counted by us.
+const MAX_BYTES: usize = 2 * limits::MAX_ROLLOUT_BYTES;
 /// Room over the largest message for keys and headers.
 const MESSAGE_SLACK: usize = 64 << 10;
 /// First and longest pause between attempts to connect, in milliseconds.
@@ -56,7 +60,7 @@ pub struct ListenSettings {
     pub timeout: Duration,
     /// The certificate of this process; with one, everything is encrypted and everybody has to show theirs. Default: none.
     pub identity: Option<Identity>,
-    /// Who may do what, enforced here. Default: everybody everything.
+    /// Who may do what, enforced here. Default: everybody everything, but a learner's rollouts are passed on to nobody.
     pub access: Option<AccessList>,
     /// The most rollouts of one actor that wait in the event queue, at least the run's window. Default: 64.
     pub rollouts_per_actor: usize,
@@ -139,12 +143,13 @@ pub(crate) fn describe(endpoints: &[Endpoint]) -> String {
     quoted.collect::<Vec<_>>().join(", ")
 }
 
-/// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on.
-pub(crate) async fn listen(settings: &ListenSettings) -> Result<Session> {
+/// Opens a learner's session: listening, or as a client of a router if it has nothing to listen on. Where no list says otherwise, what
+/// arrives at the keys `own` is passed on to nobody.
+pub(crate) async fn listen(settings: &ListenSettings, own: Keys<'_>) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
-    listen_as("peer", settings).await
+    listen_with("peer", settings, MAX_BYTES, Some(own)).await
 }
 
 /// Opens the session of a notifier at work, as [`listen`]: it takes small messages only.
@@ -152,7 +157,7 @@ pub(crate) async fn listen_live(settings: &ListenSettings) -> Result<Session> {
     if settings.endpoints.is_empty() {
         return dial(&upwards(settings), LEARNER_WAIT_BEFORE_CLOSE_US).await;
     }
-    listen_with("peer", settings, limits::MAX_LIVE_BYTES).await
+    listen_with("peer", settings, limits::MAX_LIVE_BYTES, None).await
 }
 
 /// Returns how a process that listens nowhere reaches a router.
@@ -171,13 +176,17 @@ pub(crate) async fn is_dead(session: &Session, listens: bool) -> bool {
     session.is_closed() || listens && session.info().locators().await.is_empty()
 }
 
-/// Opens a session that listens: a `peer`, or a `router`.
-pub(crate) async fn listen_as(mode: &str, settings: &ListenSettings) -> Result<Session> {
-    // Twice the largest rollout, so that what is a little too large is refused and counted by us.
-    listen_with(mode, settings, 2 * limits::MAX_ROLLOUT_BYTES).await
+/// Opens a router's session.
+pub(crate) async fn listen_as_router(settings: &ListenSettings) -> Result<Session> {
+    listen_with("router", settings, MAX_BYTES, None).await
 }
 
-async fn listen_with(mode: &str, settings: &ListenSettings, max_bytes: usize) -> Result<Session> {
+async fn listen_with(
+    mode: &str,
+    settings: &ListenSettings,
+    max_bytes: usize,
+    own: Option<Keys<'_>>,
+) -> Result<Session> {
     settings.endpoints.iter().try_for_each(Endpoint::check_listen)?;
     settings.check()?;
     let identity = settings.identity.as_ref();
@@ -197,6 +206,8 @@ async fn listen_with(mode: &str, settings: &ListenSettings, max_bytes: usize) ->
     }
     if let Some(access) = &settings.access {
         special.push(access.setting(has_socket));
+    } else if let Some(own) = own {
+        special.push(access::for_us_alone(own));
     }
     open(config(&special)).await?.map_err(|source| {
         let endpoint = describe(&settings.endpoints).trim_matches('`').to_owned();
@@ -359,9 +370,12 @@ fn json_list(endpoints: &[Endpoint]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::{ActorId, DomainName, RunName};
+    use zenoh::key_expr::OwnedKeyExpr;
     use zenoh::qos::{CongestionControl, Priority};
 
     use super::*;
+    use crate::keys::{self, Key};
     use crate::wire;
 
     #[test]
@@ -395,5 +409,26 @@ mod tests {
         }
         // Credit for many actors behind one router cannot take an announcement's place.
         assert_ne!(wire::NOTICE.priority, wire::CREDIT.priority);
+    }
+
+    #[test]
+    fn a_learner_keeps_its_own_rollouts_and_nothing_else() {
+        let (one, two) = (RunName::new("one").unwrap(), RunName::new("two").unwrap());
+        let (domain, actor) = (DomainName::new("d").unwrap(), ActorId::new("a").unwrap());
+        let config = config(&[access::for_us_alone(Keys::RolloutsOf(&one, &domain))]);
+        let list = config.get_json("access_control").unwrap();
+        let list: serde_json::Value = serde_json::from_str(&list).unwrap();
+        assert!(list["enabled"] == true && list["default_permission"] == "allow", "{list}");
+        let rules = list["rules"].as_array().unwrap();
+        let kept = rules[0]["key_exprs"][0].as_str().unwrap();
+        let kept = OwnedKeyExpr::try_from(kept).unwrap();
+        assert_eq!((rules.len(), rules[0]["permission"].as_str()), (1, Some("deny")));
+        let keeps = |key: Key<'_>| kept.includes(&keys::expr(key));
+        assert!(keeps(Key::Rollouts(&one, &domain, &actor)));
+        // The learner of another run may be behind a router above this one.
+        assert!(!keeps(Key::Rollouts(&two, &domain, &actor)));
+        for passed in [Key::Credit(&one, &actor), Key::Announcement(&one, &domain)] {
+            assert!(!keeps(passed), "{passed}");
+        }
     }
 }

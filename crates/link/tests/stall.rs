@@ -14,8 +14,11 @@ use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
 use leadtime_link::{ActorLink, ConnectSettings, Error, LearnerLink, ListenSettings, fake_hello};
+use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, HelloReply};
-use leadtime_proto::{EnvId, Epoch, Iteration, PolicyVersion, RefusalCause};
+use leadtime_proto::{
+    EnvId, Epoch, Header, Iteration, PolicyVersion, RefusalCause, Rollout, Sequence, codec,
+};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{UnixListener, UnixStream};
 use tokio::sync::{Mutex, watch};
@@ -117,7 +120,8 @@ async fn answering_one_that_does_not_read_holds_up_neither_the_learner_nor_its_a
     drop(deaf);
 }
 
-/// A line from an actor to a learner, on which the actor's end stops reading when it is told to.
+/// A line from an actor to a learner, on which the actor's end stops reading when it is told to. For the learner the connection goes on
+/// when the actor gives it up.
 struct Line {
     is_stalled: watch::Sender<bool>,
     _ends: JoinSet<()>,
@@ -135,8 +139,8 @@ impl Line {
             let (mut from_actor, to_actor) = actor.into_split();
             let learner = UnixStream::connect(to).await.unwrap();
             let (from_learner, mut to_learner) = learner.into_split();
-            let up = async move { drop(tokio::io::copy(&mut from_actor, &mut to_learner).await) };
-            tokio::join!(up, pass_on(from_learner, to_actor, stalled));
+            let up = tokio::io::copy(&mut from_actor, &mut to_learner);
+            drop(tokio::join!(up, pass_on(from_learner, to_actor, stalled)));
         });
         Self { is_stalled, _ends: ends }
     }
@@ -205,6 +209,34 @@ async fn orders_to_a_connection_that_does_not_read_end_in_time_and_hold_up_no_ot
             matches!(&error, Error::NoAnswer { timeout: after, .. } if *after == timeout),
             "{error}"
         );
+    }
+    assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_that_reads_everything_and_stops_reading_holds_up_no_rollout() {
+    const N: u64 = 16;
+    let _alone = ALONE.lock().await;
+    let site = Site::new();
+    let (_learner, events) = site.learner().await;
+    let (honest, _honest_events) = site.welcomed("honest", &events).await;
+    let through = format!("{}-line", site.endpoint);
+    let line = Line::lay(&through, site.endpoint.as_str());
+    let reader = raw_at("client", &through).await;
+    let _everything = reader.declare_subscriber("**").callback(|_| ()).await.unwrap();
+    look_at(&reader).await;
+    line.is_stalled.send_replace(true);
+
+    // Far more than the connection holds: passing them on would wait for five seconds.
+    let observations = vec![0.25; 100_000];
+    let rollout = Rollout { observations, n_steps: 2, ..Rollout::default() };
+    let payload = codec::encode(&rollout).unwrap();
+    let plain = Header::plain(Schema::Rollout, start("honest").incarnation(), &payload);
+    let started = Instant::now();
+    for sequence in (1..=N).map(Sequence) {
+        let header = Header { sequence, ..plain };
+        honest.publish_rollout(&header, payload.clone().into()).unwrap();
+        assert_eq!(next_rollout(&events).await.1, header);
     }
     assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
 }

@@ -12,5 +12,6 @@ mod messages;
 mod presence;
 mod refusals;
 mod regions;
+mod relaying;
 mod support;
 mod weights;

@@ -66,17 +66,22 @@ impl Site {
 
     /// A session outside the link: an intruder, or a foreign program.
     pub(crate) async fn raw(&self, mode: &str) -> zenoh::Session {
-        let place = if mode == "client" { "connect" } else { "listen" };
-        let mut config = zenoh::Config::default();
-        for (key, value) in [
-            ("mode", format!("\"{mode}\"")),
-            ("scouting/multicast/enabled", "false".to_owned()),
-            (format!("{place}/endpoints").as_str(), format!("[\"{}\"]", self.endpoint)),
-        ] {
-            config.insert_json5(key, &value).unwrap();
-        }
-        zenoh::open(config).await.unwrap()
+        raw_at(mode, self.endpoint.as_str()).await
     }
+}
+
+/// A session outside the link, at any address.
+pub(crate) async fn raw_at(mode: &str, endpoint: &str) -> zenoh::Session {
+    let place = if mode == "client" { "connect" } else { "listen" };
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", format!("\"{mode}\"")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        (format!("{place}/endpoints").as_str(), format!("[\"{endpoint}\"]")),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
 }
 
 /// Says hello and has the learner welcome it.
