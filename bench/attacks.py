@@ -2,7 +2,7 @@
 """What a stranger on a network without TLS can do to a run, and what the honest members notice of it.
 
     pip install eclipse-zenoh==1.10.2 crc32c blake3 pynacl
-    bench/attacks.py [ATTACK...] [--seconds 5]
+    bench/attacks.py [ATTACK...] [--seconds 5] [--router]
 
 For each attack a learner and two actors train a small task on this machine. They are left in peace, attacked, and left in peace
 again. Prints updates a second of the three stretches, the learner's largest memory, what became of the actors (of a third one that
@@ -121,7 +121,8 @@ class Network:
                     self.learner = int(start, 16)
                 else:
                     self.actors[name] = int(start, 16)
-        # Public keys stand behind what is published; no message is longer than they and a proof.
+        # Public keys stand behind what is published, in front of a proof. A learner that listens passes no rollouts on: there the
+        # stranger puts its own key in their place, and its proofs do not hold.
         behind = lambda sample: self.publics.setdefault(str(sample.key_expr).split("/")[-1], bytes(sample.payload)[-64:-32])
         self.held.append(self.session.declare_subscriber(f"{self.root}/traj/**", behind))
 
@@ -134,13 +135,12 @@ class Network:
         self.session.get(f"{self.root}/{key}", take, timeout=timeout, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE, **body)
 
     def order(self, control):
-        """In the learner's name, and in the stranger's own with a proof that holds."""
+        """In the learner's name, and in the stranger's own with a proof that holds where the actor's public key is known."""
         for actor, start in self.actors.items():
-            place, peer = f"ctl/actor/{actor}?incarnation={start}", self.publics.get(actor)
-            if peer is not None:
-                for number in (self.learner, self.start.number):
-                    head = header(CONTROL, control, number)
-                    self.ask(place, self.start.proved(peer, head, control), head)
+            place, peer = f"ctl/actor/{actor}?incarnation={start}", self.publics.get(actor, self.start.public)
+            for number in (self.learner, self.start.number):
+                head = header(CONTROL, control, number)
+                self.ask(place, self.start.proved(peer, head, control), head)
 
     def greet(self, ghost, actor):
         ghost.hellos += 1
@@ -166,6 +166,19 @@ def sequence(network, end):
                 network.session.put(key, b"rubbish" + public + os.urandom(32), attachment=head)
         time.sleep(0.002)
     subscriber.undeclare()
+
+
+def on_live_keys(send):
+    def attack(network, end):
+        """Sends what has no header, so that nobody can be charged for it, on the keys of live actors."""
+        keys = []
+        for actor, start in network.actors.items():
+            keys += [f"{network.root}/{key}" for key in (f"traj/cartpole/{actor}", f"credit/{actor}", f"alive/actor/{actor}/{start:016x}")]
+        while time.monotonic() < end:
+            for key in keys:
+                send(network.session, key)
+            time.sleep(0.002)
+    return attack
 
 
 def orders(*controls):
@@ -233,6 +246,8 @@ def other_run(network, end):
 
 ATTACKS = {
     "sequence": sequence,
+    "garbage": on_live_keys(lambda session, key: session.put(key, b"garbage")),
+    "delete": on_live_keys(lambda session, key: session.delete(key)),
     "stop": orders(STOP),
     "far": orders(assign(2**48, []), assign(2**40, [])),
     "snapshot": orders(assign(2**40, [(0, 3, b"\x01\x02")])),
@@ -258,12 +273,14 @@ def leave(held):
 class Trial:
     """A learner and its actors."""
 
-    def __init__(self, path, steps):
+    def __init__(self, path, steps, has_router):
         self.path, self.actors, self.peak = path, {}, 0
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-        self.learner = self.start("learner", "learner", *RUN.split(), "--name", "r", "--set", f"learner.total_steps={steps}", "--listen", self.endpoint)
+        self.router = [self.start("router", "router", "--listen", self.endpoint)] if has_router else []
+        at = "--connect" if has_router else "--listen"
+        self.learner = self.start("learner", "learner", *RUN.split(), "--name", "r", "--set", f"learner.total_steps={steps}", at, self.endpoint)
         for name in ("a1", "a2"):
             self.join(name)
 
@@ -303,7 +320,7 @@ class Trial:
         return codes
 
     def kill(self):
-        for process in [self.learner, *self.actors.values()]:
+        for process in [self.learner, *self.actors.values(), *self.router]:
             if process.poll() is None:
                 process.kill()
             process.wait()
@@ -312,18 +329,18 @@ class Trial:
         return json.loads((self.path / "runs/r/run.json").read_text()).get("result") or {}
 
 
-def peace(path, steps):
+def peace(path, steps, has_router):
     """The weights of an undisturbed run, and its updates a second."""
-    trial, began = Trial(path, steps), time.monotonic()
+    trial, began = Trial(path, steps, has_router), time.monotonic()
     codes = trial.wait(300)
     if codes != [0, 0, 0]:
         sys.exit(f"error: an undisturbed run ended with {codes}: {(path / 'learner.log').read_text()[-2000:]}")
     return trial.result()["weights_sha256"], trial.updates() / (time.monotonic() - began)
 
 
-def attack(path, name, steps, weights, seconds):
+def attack(path, name, steps, has_router, weights, seconds):
     """Attacks a run, and returns the outcome as a row of the table."""
-    trial = Trial(path, steps)
+    trial = Trial(path, steps, has_router)
     try:
         deadline = time.monotonic() + 30
         while trial.updates() < 3 and time.monotonic() < deadline:
@@ -353,6 +370,7 @@ def main():
     parser.add_argument("attacks", nargs="*", metavar="ATTACK", help=f"of {', '.join(ATTACKS)}; all of them by default")
     parser.add_argument("--seconds", type=float, default=5, help="for which a run is attacked")
     parser.add_argument("--updates", type=int, default=4000, help="of each run: enough to outlast the attack")
+    parser.add_argument("--router", action="store_true", help="all dial a router without a list, instead of a learner that listens")
     options = parser.parse_args()
     unknown = set(options.attacks) - set(ATTACKS)
     if unknown or not PROGRAM.exists():
@@ -361,11 +379,11 @@ def main():
     with tempfile.TemporaryDirectory(prefix="attacks-", ignore_cleanup_errors=True) as place:
         place = Path(place)
         (place / "peace").mkdir()
-        weights, rate = peace(place / "peace", steps)
+        weights, rate = peace(place / "peace", steps, options.router)
         print(f"undisturbed: {rate:.1f} updates a second\n{'attack':10} {'before':>7} {'during':>7} {'after':>7}   {'memory':>8}   {'exit codes':22} weights books", flush=True)
         for name in options.attacks or ATTACKS:
             (place / name).mkdir()
-            print(attack(place / name, name, steps, weights, options.seconds), flush=True)
+            print(attack(place / name, name, steps, options.router, weights, options.seconds), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-//! A consumer that does not look: nothing else may wait for it.
+//! A consumer that does not look, one that does not read, and those who say nothing: nothing else may wait for them.
 //!
 //! In a process of its own, and one test at a time: the threads on which the network library receives are the whole process's,
 //! and a test that stalls some makes others wait.
@@ -13,14 +13,16 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use leadtime_link::keys::Key;
-use leadtime_link::{ActorLink, ConnectSettings, Error, LearnerLink, ListenSettings, fake_hello};
+use leadtime_link::{
+    ActorLink, ConnectSettings, Endpoint, Error, LearnerLink, ListenSettings, fake_hello,
+};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Assignment, Control, ControlReply, EnvAssignment, HelloReply};
 use leadtime_proto::{
     EnvId, Epoch, Header, Iteration, PolicyVersion, RefusalCause, Rollout, Sequence, codec,
 };
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::net::{UnixListener, UnixStream};
+use tokio::net::{TcpStream, UnixListener, UnixStream};
 use tokio::sync::{Mutex, watch};
 use tokio::task::JoinSet;
 
@@ -239,4 +241,31 @@ async fn one_that_reads_everything_and_stops_reading_holds_up_no_rollout() {
         assert_eq!(next_rollout(&events).await.1, header);
     }
     assert!(started.elapsed() < Duration::from_secs(4), "{:?}", started.elapsed());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn connections_that_say_nothing_keep_nobody_out_and_are_given_up() {
+    const N: usize = 300;
+    let _alone = ALONE.lock().await;
+    let settings = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
+    let (learner, events) =
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), &settings).await.unwrap();
+    let endpoint: Endpoint = learner.locators()[0].parse().unwrap();
+    let address = endpoint.as_str().strip_prefix("tcp/").unwrap();
+    let mut silent = Vec::new();
+    for _ in 0..N {
+        silent.push(TcpStream::connect(address).await.unwrap());
+    }
+    let connect = ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
+    let started = Instant::now();
+    let (actor, _told) = ActorLink::open(&connect, &actor_id("a"), &start("a")).await.unwrap();
+    say_hello(&actor, "a", &events).await;
+    // As the library is set by itself, a hundred of them keep everybody out for ten seconds.
+    assert!(started.elapsed() < Duration::from_secs(8), "{:?}", started.elapsed());
+    for mut connection in silent {
+        let mut byte = [0];
+        let read = tokio::time::timeout(SOON, connection.read(&mut byte)).await;
+        let read = read.expect("it is given up");
+        assert!(matches!(read, Ok(0) | Err(_)), "{read:?}");
+    }
 }

@@ -1,11 +1,12 @@
 //! What an intruder can send to a learner, and what becomes of it.
 
-use leadtime_link::keys::Key;
-use leadtime_link::{Error, LearnerEvent};
+use leadtime_link::keys::{Key, Member};
+use leadtime_link::{ActorEvent, Error, LearnerEvent};
 use leadtime_proto::header::{PROTOCOL_VERSION, Schema};
-use leadtime_proto::limits::MAX_ROLLOUT_BYTES;
+use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, REFUSALS_BEFORE_CUT_OFF};
+use leadtime_proto::message::Credit;
 use leadtime_proto::receive::{self, ROLLOUT};
-use leadtime_proto::{ActorId, Header, PolicyVersion, Refusal, RefusalCause, Rollout};
+use leadtime_proto::{ActorId, Header, PolicyVersion, Refusal, RefusalCause, Rollout, Sequence};
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
@@ -110,6 +111,64 @@ async fn a_payload_that_is_not_the_headers_is_refused_when_opened() {
     let header = Header::plain(Schema::Rollout, a, &payload);
     let error = actor.publish_rollout(&header, payload.into()).unwrap_err();
     assert!(matches!(error, Error::TooLarge { .. }), "{error}");
+}
+
+/// Deletes what is at a key.
+async fn delete(session: &Session, key: &str) {
+    session.delete(key).congestion_control(CongestionControl::Block).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_deleted_or_has_no_header_on_the_keys_of_a_live_actor_is_charged_to_nobody() {
+    // More than what would cut its sender off, if it had one.
+    const N: usize = REFUSALS_BEFORE_CUT_OFF as usize + 4;
+    let site = Site::new();
+    let (learner, events) = site.learner().await;
+    let (actor, told) = site.welcomed("a", &events).await;
+    let intruder = site.raw("client").await;
+    let (name, domain, a) = (run("one"), domain(), actor_id("a"));
+    let (member, incarnation) = (Member::Actor(a.clone()), start("a").incarnation());
+    let rollouts = Key::Rollouts(&name, &domain, &a).to_string();
+    for _ in 0..N {
+        put(&intruder, &rollouts, None, b"garbage").await;
+        delete(&intruder, &rollouts).await;
+        let credit = Key::Credit(&name, &a);
+        let news = Key::Announcement(&name, &domain);
+        for key in [credit, news, Key::Alive(&name, &member, incarnation)] {
+            delete(&intruder, &key.to_string()).await;
+        }
+    }
+    look_at(&intruder).await;
+
+    // The actor is still there, and everything reaches both sides.
+    let (header, payload) = rollout("a", 1);
+    actor.publish_rollout(&header, payload).unwrap();
+    let mut n_refused = 0;
+    let arrived = until(&events, |event| match event {
+        LearnerEvent::Refused { actor, refusal, .. } => {
+            let found = (actor, refusal.cause, refusal.sender);
+            assert_eq!(found, (Some(a.clone()), RefusalCause::Header, None));
+            n_refused += 1;
+            None
+        }
+        LearnerEvent::Rollout { actor, header, .. } => Some((actor, header)),
+        LearnerEvent::Left(actor, _) => panic!("{actor} has not left"),
+        _ => None,
+    });
+    assert_eq!(arrived.await, (a.clone(), header));
+    assert_eq!(n_refused, 2 * N);
+    assert!(learner.take_uncounted().is_empty(), "each was an event");
+    let (acknowledged, limit) = (Sequence(1), Sequence(9));
+    let credit = Credit { incarnation, learner: LEARNER, acknowledged, limit };
+    learner.send_credit(&a, credit).unwrap();
+    let heard = until(&told, |event| match event {
+        ActorEvent::Credit(credit) => Some(credit),
+        ActorEvent::LearnerLeft(_) => panic!("the learner has not left"),
+        _ => None,
+    });
+    assert_eq!(heard.await, credit);
+    learner.offer_weights(PolicyVersion(1), b"weights".as_slice().into()).unwrap();
+    assert_eq!(pull(&actor, &learner, 1).await.unwrap(), b"weights");
 }
 
 #[tokio::test(flavor = "multi_thread")]
