@@ -372,6 +372,9 @@ pub(crate) struct UpArgs {
     /// Also serve a live page of the run here: `127.0.0.1:8080`; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS")]
     pub watch: Option<String>,
+    /// Print the page's address and how the run ended as JSON, one object a line.
+    #[arg(long)]
+    pub json: bool,
     #[command(flatten)]
     pub access: AccessArgs,
     #[command(flatten)]
@@ -470,6 +473,9 @@ pub(crate) struct LearnerArgs {
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
+    /// Print how the run ended as JSON.
+    #[arg(long)]
+    pub json: bool,
     /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,

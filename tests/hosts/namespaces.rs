@@ -57,9 +57,24 @@ impl Hosts {
 
     /// Starts a slow line in a host, from an address there to one anywhere.
     pub(crate) fn relay(host: &str, listen: &str, target: &str) -> SlowLine {
+        let mut line = Self::this_program(host, &["relay", listen, target]);
+        SlowLine(line.spawn().expect("the relay starts"))
+    }
+
+    /// Returns what a server shows to somebody in its host.
+    pub(crate) fn get(host: &str, address: &str, path: &str) -> String {
+        let asked = Self::this_program(host, &["get", address, path]).output();
+        let asked = asked.expect("the question can be asked");
+        let told = String::from_utf8_lossy(&asked.stderr);
+        assert!(asked.status.success(), "{address}{path}: {told}");
+        String::from_utf8_lossy(&asked.stdout).into_owned()
+    }
+
+    /// Has this program do something else in a host.
+    fn this_program(host: &str, arguments: &[&str]) -> Command {
         let mut this = Command::new(std::env::current_exe().expect("this program has a path"));
-        this.args(["relay", listen, target]);
-        SlowLine(Self::program(host, &this).spawn().expect("the relay starts"))
+        this.args(arguments);
+        Self::program(host, &this)
     }
 
     /// Pulls out the cable of a host.

@@ -14,7 +14,7 @@
 //! | `python` | whatever happens to a worker in Python, the weights are the same, and nobody executes what others wrote |
 //! | `race` | a race stops who is behind, and changes nobody's weights |
 //! | `recording` | a recorded notifier says the same again; a killed recorder loses no more than a second |
-//! | `resilience` | killing anything changes no bit; the books balance |
+//! | `resilience` | killing or halting anything changes no bit; the books balance |
 //! | `streams` | output that cannot be written, limits, names that are not text: a sentence, and nothing is lost |
 //! | `supervision` | processes live and die together |
 //! | `taxonomy` | words are made, made again and checked; what is wrong with them is one sentence |

@@ -1,4 +1,4 @@
-//! Killing processes changes nothing: the same seed gives the same weights, and the books balance.
+//! Killing and halting processes changes nothing: the same seed gives the same weights, and the books balance.
 //!
 //! Most tests compare the final weights, the best ones and the evaluations on the way with those of one undisturbed run, made
 //! once.
@@ -11,8 +11,8 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use crate::support::{
-    Finished, PATIENCE, Place, Running, journal, record, result, signal, updates, wait_for_updates,
-    wait_for_words,
+    Finished, PATIENCE, Place, Running, journal, outcome, record, result, signal, updates,
+    wait_for_updates, wait_for_words, wait_until,
 };
 use serde_json::Value;
 
@@ -152,6 +152,82 @@ fn a_router_killed_and_restarted_finds_learner_and_actors_again_and_changes_noth
     assert!(journal(&place.run("r")).into_iter().eq(1..=40), "every update is there once");
     signal("TERM", second.id());
     second.finish(PATIENCE).with_code(0);
+}
+
+/// Counts how often a process has said something on standard error.
+fn n_said(process: &Running, words: &str) -> usize {
+    process.stderr().matches(words).count()
+}
+
+/// Ends a run that does not end by itself, and asserts that it has the weights of an undisturbed one of as many updates.
+#[track_caller]
+fn end_as_undisturbed(learner: Running) {
+    signal("TERM", learner.id());
+    let disturbed = learner.finish(PATIENCE).with_code(130);
+    assert!(disturbed.stdout.contains("all accounted for"), "{}", disturbed.stdout);
+    let (_, n_updates) = outcome(&disturbed);
+    let place = Place::new();
+    let calm = self::learner(&place, &format!("{LONG} --stop-after {n_updates}"));
+    let helper = actor(&place, "a");
+    // The other one was under way for as long as its test waited.
+    let calm = calm.finish(3 * PATIENCE).with_code(0);
+    helper.finish(PATIENCE);
+    assert_eq!(outcome(&calm), outcome(&disturbed));
+}
+
+#[test]
+fn a_learner_that_listens_and_dials_finds_its_router_again_and_has_actors_on_both_sides() {
+    let place = Place::new();
+    let above = place.endpoint("router");
+    let first = router(&place);
+    let both = format!("{LONG} --set run.actors_min=2 --connect {above}");
+    let learner = learner(&place, &both);
+    let near = actor(&place, "near");
+    let far = place.start(&["actor --connect-timeout 10s --id far --connect", &above]);
+    let run = place.run("r");
+    wait_for_updates(&run, 5);
+    first.kill();
+    wait_for_words(&learner, "actor left: far");
+    let _second = router(&place);
+    wait_until("the actor behind the router is back", PATIENCE, || {
+        n_said(&learner, "actor joined: far") >= 2
+    });
+    // From here on rollouts, credit and weights have only the way through the router that is new.
+    near.kill();
+    wait_for_words(&learner, "actor left: near");
+    wait_for_updates(&run, updates(&run) + 5);
+    end_as_undisturbed(learner);
+    drop(far);
+}
+
+#[test]
+fn an_actor_and_a_learner_that_stand_still_for_longer_than_a_connection_may_change_nothing() {
+    let place = Place::new();
+    let learner = learner(&place, &format!("{LONG} --set run.actors_min=2"));
+    let (first, second) = (actor(&place, "a"), actor(&place, "b"));
+    let run = place.run("r");
+    wait_for_updates(&run, 5);
+    signal("STOP", second.id());
+    wait_for_words(&learner, "actor left: b");
+    wait_for_updates(&run, updates(&run) + 3);
+    signal("CONT", second.id());
+    wait_until("it is back", PATIENCE, || n_said(&learner, "actor joined: b") >= 2);
+    wait_for_updates(&run, updates(&run) + 3);
+
+    // An actor whose rollouts wait may ask its learner before it counts as gone: a second later than that.
+    let n_missed = || {
+        let words = ["the learner is gone", "the learner does not acknowledge"];
+        words.into_iter().map(|words| n_said(&first, words)).sum::<usize>()
+    };
+    let n_before = n_missed();
+    signal("STOP", learner.id());
+    wait_until("the learner is missed", PATIENCE, || n_missed() > n_before);
+    let n_updates = updates(&run);
+    signal("CONT", learner.id());
+    wait_for_updates(&run, n_updates + 5);
+    // One of them may still be looking for its learner, and would go on doing so.
+    end_as_undisturbed(learner);
+    drop((first, second));
 }
 
 #[test]

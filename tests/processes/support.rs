@@ -168,6 +168,17 @@ impl Finished {
     }
 }
 
+/// Returns the weights and the number of updates that a learner prints at its end.
+#[track_caller]
+pub(crate) fn outcome(learner: &Finished) -> (String, String) {
+    let line = |name: &str| {
+        let line = learner.stdout.lines().find_map(|line| line.strip_prefix(name));
+        line.unwrap_or_else(|| panic!("no {name} in: {}", learner.stdout)).trim().to_owned()
+    };
+    let n_updates = line("updates").split(' ').next().expect("a number").to_owned();
+    (line("weights"), n_updates)
+}
+
 /// A started process; killed if the test lets go of it.
 pub(crate) struct Running {
     child: Child,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 use serde_json::Value;
 
 use crate::operations::get;
-use crate::support::{PATIENCE, Place, Running, signal, wait_until};
+use crate::support::{PATIENCE, Place, Running, outcome, signal, wait_until};
 
 /// A run that lasts until it is ended.
 const LONG: &str = "-c cartpole --steps 5e7 --set learner.n_steps=32 --set run.checkpoint_every=10";
@@ -74,16 +74,30 @@ fn watchers_that_are_killed_change_no_bit() {
     signal("TERM", run.id());
     let run = run.finish(PATIENCE).with_code(130);
     assert!(run.stdout.contains("all accounted for"), "{}", run.stdout);
-    let printed = |told: &str, name: &str| {
-        let mut words = told.lines().filter_map(|line| line.strip_prefix(name)).map(str::trim);
-        words.next().unwrap_or_else(|| panic!("{told}")).to_owned()
-    };
-    let updates = printed(&run.stdout, "updates");
-    let n_updates = updates.split(' ').next().unwrap();
+    let (_, n_updates) = outcome(&run);
     let alone = place.finish(&[&format!("up --name alone {LONG} --stop-after {n_updates}")]);
-    let alone = alone.with_code(0).stdout;
-    assert_eq!(printed(&alone, "updates"), updates);
-    assert_eq!(printed(&alone, "weights"), printed(&run.stdout, "weights"));
+    assert_eq!(outcome(&alone.with_code(0)), outcome(&run));
+}
+
+#[test]
+fn a_run_with_its_page_beside_it_says_as_json_where_the_page_is_and_how_it_ended() {
+    let place = Place::new();
+    let up = place.start(&[&format!("up --name r {LONG} --watch 127.0.0.1:0 --json")]);
+    let at = page_address(&up);
+    let (code, page) = get(&at, "/");
+    assert!(code == 200 && page.contains("<title>Leadtime</title>"), "{code}: {page}");
+    wait_until("the page shows the run", PATIENCE, || {
+        let shown: Value = serde_json::from_str(&get(&at, "/state.json").1).unwrap();
+        shown["state"]["update"].as_u64() > Some(0)
+    });
+    signal("TERM", up.id());
+    let said = up.finish(PATIENCE).with_code(130).stdout;
+    let said: Vec<Value> = said.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(said.len(), 2, "{said:?}");
+    let end = &said[1];
+    assert!(end["updates"].as_u64() > Some(0), "{end}");
+    assert_eq!(end["weights_sha256"].as_str().map(str::len), Some(64), "{end}");
+    assert_eq!((&end["end"], &end["books"]["balanced"]), (&Value::Null, &true.into()), "{end}");
 }
 
 #[test]
@@ -130,11 +144,16 @@ fn a_page_is_served_and_ends_within_a_second() {
 /// Serves a page, and returns its address.
 fn page_of(place: &Place, what: &str) -> (Running, String) {
     let watcher = place.start(&[&format!("watch {what} --http 127.0.0.1:0 --json")]);
-    wait_until("the page is served", PATIENCE, || watcher.stdout().contains("http://"));
-    let said: Value = serde_json::from_str(&watcher.stdout()).unwrap();
-    let link = said["page"].as_str().unwrap();
-    let address = link.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let address = page_address(&watcher);
     (watcher, address)
+}
+
+/// Waits until a process says as JSON where its page is.
+fn page_address(process: &Running) -> String {
+    wait_until("the page is served", PATIENCE, || process.stdout().ends_with('\n'));
+    let said: Value = serde_json::from_str(&process.stdout()).unwrap();
+    let link = said["page"].as_str().unwrap();
+    link.trim_start_matches("http://").trim_end_matches('/').to_owned()
 }
 
 /// Asks for events.

@@ -23,8 +23,8 @@ use leadtime_link::{ConnectSettings, Error as LinkError};
 use leadtime_proto::{ClientName, Incarnation};
 use leadtime_runs::clock;
 use support::{
-    Finished, PATIENCE, Place, Running, repository, result, signal, updates, wait_for_words,
-    wait_until,
+    Finished, PATIENCE, Place, Running, outcome, repository, result, signal, updates,
+    wait_for_words, wait_until,
 };
 
 const RUN: &str =
@@ -32,9 +32,10 @@ const RUN: &str =
 /// A run that does not end by itself.
 const LONG_RUN: &str =
     "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=1e8";
-/// How long the certificate lasts that is replaced: long enough that the run is under way before, also on a busy machine.
-const SHORT_LIFE: Duration = Duration::from_secs(15);
-/// How soon a run goes on after a certificate was replaced: it dials once a second at least. Ten times that on a busy machine.
+/// How long the certificate lasts that is replaced, where an actor needs less than a quarter of that to be at work.
+const SHORT_LIFE: Duration = Duration::from_secs(6);
+/// How soon an actor is back after its certificate was replaced. It dials once a second at least, so two seconds are enough; five
+/// times that on a busy machine.
 const BACK_WITHIN: Duration = Duration::from_secs(10);
 const DAY: Duration = Duration::from_hours(24);
 
@@ -55,16 +56,6 @@ fn address(listener: &Running) -> String {
     let rest = said.split("tls/127.0.0.1:").nth(1).unwrap();
     let port: String = rest.chars().take_while(char::is_ascii_digit).collect();
     format!("tls/127.0.0.1:{port}")
-}
-
-/// Returns the weights and the number of updates that a learner prints at its end.
-fn outcome(learner: &Finished) -> (String, String) {
-    let line = |name: &str| {
-        let line = learner.stdout.lines().find_map(|line| line.strip_prefix(name));
-        line.unwrap_or_else(|| panic!("{}", learner.stdout)).trim().to_owned()
-    };
-    let updates = line("updates").split(' ').next().unwrap().to_owned();
-    (line("weights"), updates)
 }
 
 /// Runs the same in the clear over a unix socket, with one actor.
@@ -162,17 +153,34 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
     let learner = place.start(&[LONG_RUN, "--listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5"]);
     let there = address(&learner);
-    issue(SHORT_LIFE);
-    let actor = place.start(&["actor --json --tls pki/a1 --connect", &there]);
-    wait_until("the run is under way", PATIENCE, || updates(&place.run("r")) > 0);
+    let run = place.run("r");
+    let start = || place.start(&["actor --json --tls pki/a1 --connect", &there]);
+    let goes_on = || {
+        let before = updates(&run);
+        wait_until("it goes on", PATIENCE, || updates(&run) > before + 3);
+    };
+    let n_said = |words: &str| learner.stderr().matches(words).count();
+
+    // One start with a certificate that lasts tells how long the next one needs here.
+    let started = Instant::now();
+    let first = start();
+    goes_on();
+    let lifetime = SHORT_LIFE.max(4 * started.elapsed());
+    signal("TERM", first.id());
+    first.finish(PATIENCE).with_code(130);
     wait_for_words(&learner, "actor left");
+    issue(lifetime);
+    let actor = start();
+    goes_on();
+    let (n_left, n_joined) = (n_said("actor left"), n_said("actor joined"));
+    wait_until("its certificate has ended", PATIENCE, || n_said("actor left") > n_left);
     issue(90 * DAY);
     let replaced = Instant::now();
-    let before = updates(&place.run("r"));
-    wait_until("it goes on", PATIENCE, || updates(&place.run("r")) > before + 3);
+    wait_until("it is back", PATIENCE, || n_said("actor joined") > n_joined);
     let back = replaced.elapsed();
-    println!("under way again {back:?} after the files were replaced");
-    assert!(back < BACK_WITHIN, "under way again only {back:?} after the files were replaced");
+    println!("a certificate of {lifetime:?}: back {back:?} after it was replaced");
+    assert!(back < BACK_WITHIN, "back only {back:?} after the files were replaced");
+    goes_on();
     signal("TERM", learner.id());
     let stopped = learner.finish(PATIENCE).with_code(130);
     let journal = actor.finish(PATIENCE).with_code(0).json();

@@ -152,6 +152,48 @@ test('an actor that is killed is struck through, and a learner that is killed co
   assert.deepEqual(complaints, []);
 });
 
+test('an actor that stands still is red, or struck through once it counts as gone, and comes back', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  const socket = `unixsock-stream/${join(place.path, 'z')}`;
+  place.start(`learner -c cartpole --steps 5e7 --name r --set run.checkpoint_every=5 --set learner.n_steps=32 --listen ${socket}`);
+  const [frozen] = ['a', 'b'].map((id) => place.start(`actor --connect ${socket} --id ${id}`));
+  const link = await place.start(`watch --connect ${socket} --http 127.0.0.1:0`).page();
+  const { page, complaints } = await chrome.open(link);
+  await complete(page);
+  const well = (id) => page.locator(`tr[data-actor=${id}]:not(.gone, .silent)`).count();
+  await until('both actors', async () => (await well('a')) + (await well('b')) === 2);
+  // It is silent and gone within two seconds, in this order; the page is told once a second, and may be told of the end only.
+  const stopped = Date.now();
+  frozen.child.kill('SIGSTOP');
+  const row = page.locator('tr.silent[data-actor=a], tr.gone[data-actor=a]');
+  await row.waitFor({ timeout: 5_000 });
+  t.diagnostic(`${await row.getAttribute('class')} ${Date.now() - stopped} ms after it was stopped`);
+  frozen.child.kill('SIGCONT');
+  await until('it is back', async () => (await well('a')) === 1);
+  assert.deepEqual(complaints, []);
+
+  // What the page shows of one that is silent and not yet gone.
+  const events = await page.evaluate(async () => {
+    const { update, history, actors } = await (await fetch('state.json')).json();
+    const shown = actors.map((actor) => ({ ...actor, gone_s: null, is_silent: actor.id === 'a', silent_s: actor.id === 'a' ? 2.5 : 0.5 }));
+    const told = [['history', history], ['update', update], ['actors', shown]];
+    return told.map(([kind, data]) => `event: ${kind}\ndata: ${JSON.stringify(data)}\n\n`).join('');
+  });
+  await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: events }));
+  await page.reload();
+  await page.locator('tr.silent[data-actor=a]').waitFor();
+  const colours = await page.evaluate(() => {
+    const cells = ['tr.silent[data-actor=a] td', 'tr[data-actor=b] td'].map((cell) => document.querySelector(cell));
+    const bad = document.createElement('p');
+    bad.className = 'bad';
+    document.body.append(bad);
+    return [...cells, bad].map((element) => getComputedStyle(element).color);
+  });
+  assert.equal(colours[0], colours[2], 'red');
+  assert.notEqual(colours[1], colours[2], 'the other one is not');
+});
+
 test('a finished run: the page stays and says so, live and from the disk', async (t) => {
   const place = new Place();
   t.after(() => place.clean());

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
@@ -54,6 +55,29 @@ fn a_certificate_says_who_where_and_how_long() {
     let identity = Identity::read(&pki.join("a7"), now()).unwrap();
     assert_eq!(identity, Identity::read(&path, now()).unwrap(), "with or without `.pem`");
     assert_eq!(identity.shown, certificate);
+}
+
+#[test]
+fn another_program_takes_a_certificate_for_one_of_its_authority() {
+    let openssl = |arguments: &[&str]| Command::new("openssl").args(arguments).output();
+    if !openssl(&["version"]).is_ok_and(|done| done.status.success()) {
+        println!("skipped: there is no openssl here");
+        return;
+    }
+    let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let issued = issue(&mut authority(dir.path()), Role::Actor, "a1");
+    drop(authority(other.path()));
+    let (leaf, at) = (issued.path.to_str().unwrap(), now().as_second().to_string());
+    let verify = |directory: &Path| {
+        let ca = directory.join("ca.pem");
+        let ca = ca.to_str().unwrap();
+        openssl(&["verify", "-attime", &at, "-CAfile", ca, leaf]).unwrap()
+    };
+    let done = verify(dir.path());
+    let (told, error) =
+        (String::from_utf8_lossy(&done.stdout), String::from_utf8_lossy(&done.stderr));
+    assert!(done.status.success() && told.trim() == format!("{leaf}: OK"), "{told}{error}");
+    assert!(!verify(other.path()).status.success(), "of another authority");
 }
 
 #[test]
@@ -316,7 +340,7 @@ fn nobody_waits_for_a_pipe_in_the_place_of_a_certificate() {
     let dir = tempfile::tempdir().unwrap();
     drop(authority(dir.path()));
     let pipe = dir.path().join("a1.pem");
-    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
     let error = Certificate::read(&pipe).unwrap_err();
     assert_eq!(std::error::Error::source(&error).unwrap().to_string(), "it is not a file");
     assert_eq!(Authority::list(dir.path()).unwrap().left_out.len(), 1);

@@ -48,6 +48,8 @@ pub struct Launch<'a> {
     pub status: Option<&'a str>,
     /// Whether the learner's results go to standard output.
     pub learner_stdout: bool,
+    /// Whether they are JSON.
+    pub json: bool,
     /// File that collects what the processes log, instead of standard error.
     pub stderr_log: Option<PathBuf>,
     /// Further options of every process: how much it logs.
@@ -80,6 +82,7 @@ impl<'a> Launch<'a> {
             trace: None,
             status: None,
             learner_stdout: false,
+            json: false,
             stderr_log: None,
             options: &[],
             observer: None,
@@ -207,6 +210,9 @@ fn plan(
         learner.extend(text(&["--listen", extra]));
     }
     learner.extend(launch.guard.iter().cloned());
+    if launch.json {
+        learner.push("--json".into());
+    }
     if let Some(stop_after) = &launch.stop_after {
         learner.extend(text(&["--stop-after", stop_after]));
     }

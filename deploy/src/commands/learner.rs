@@ -1,6 +1,7 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use std::ffi::OsString;
+use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
@@ -20,7 +21,7 @@ use leadtime_runs::{
 };
 use leadtime_status::{LearnerFacts, LearnerStatus, StatusServer};
 use leadtime_web::parse_address;
-use serde_json::json;
+use serde_json::{Value, json};
 use tokio_util::sync::CancellationToken;
 
 use super::report;
@@ -226,7 +227,6 @@ fn conclude(
     is_asked: bool,
     args: &LearnerArgs,
 ) -> Result<(), Failure> {
-    let digest = hex::encode(&report.digest);
     let books = &report.books;
     // As the record keeps them.
     let books = json!({
@@ -242,29 +242,20 @@ fn conclude(
         "steps_redone": books.steps_redone,
         "balanced": report.balance.is_ok(),
     });
-    let (n_updates, n_steps) = (report.n_updates, report.n_steps);
-    output::line(&format!("run      {}", run_dir.path.display()));
-    output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
-    if report.end != RunEnd::Stopped && n_updates < config.learner.n_updates() {
-        output::line("ended    by evaluation.stop_at, which this policy reaches");
-    }
-    output::line(&format!("weights  sha256 {digest}"));
-    if let Some(means) = &report.best.held_out {
-        output::line(&format!("best     {}", held_out_sentence(means)));
-    }
-    output::line(&format!("books    {}", books_sentence(&books)));
+    let is_early = report.n_updates < config.learner.n_updates();
+    let cause = if is_early { ResultCause::StopAt } else { ResultCause::TotalSteps };
+    let end = (report.end != RunEnd::Stopped).then_some(cause);
+    print_end(&run_dir.path, report, end, &books, args.json);
     if let Err(imbalance) = report.balance {
         return Err(imbalance).blame(ExitCode::Failed);
     }
-    if report.end != RunEnd::Stopped {
-        let is_early = n_updates < config.learner.n_updates();
-        let end = if is_early { ResultCause::StopAt } else { ResultCause::TotalSteps };
+    if let Some(end) = end {
         let result = RunResult {
             finished: clock::utc_now(),
             end,
-            updates: n_updates,
-            steps: n_steps,
-            weights_sha256: digest,
+            updates: report.n_updates,
+            steps: report.n_steps,
+            weights_sha256: hex::encode(&report.digest),
             reproducible: report.reproducible && run_dir.record.changes.is_empty(),
             books,
         };
@@ -281,4 +272,37 @@ fn conclude(
         output::note("The actors have to be started again, too.");
     }
     if is_asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
+}
+
+/// Prints how a run ended, or where it stopped if nothing ended it.
+fn print_end(
+    run: &Path,
+    report: &RunReport,
+    end: Option<ResultCause>,
+    books: &Value,
+    as_json: bool,
+) {
+    let (n_updates, n_steps) = (report.n_updates, report.n_steps);
+    let (digest, best) = (hex::encode(&report.digest), &report.best.held_out);
+    if as_json {
+        return output::json(&json!({
+            "run": run.display().to_string(),
+            "end": end,
+            "updates": n_updates,
+            "steps": n_steps,
+            "weights_sha256": digest,
+            "best": best,
+            "books": books,
+        }));
+    }
+    output::line(&format!("run      {}", run.display()));
+    output::line(&format!("updates  {n_updates} ({n_steps} steps)"));
+    if end == Some(ResultCause::StopAt) {
+        output::line("ended    by evaluation.stop_at, which this policy reaches");
+    }
+    output::line(&format!("weights  sha256 {digest}"));
+    if let Some(means) = best {
+        output::line(&format!("best     {}", held_out_sentence(means)));
+    }
+    output::line(&format!("books    {}", books_sentence(books)));
 }

@@ -18,7 +18,7 @@ use tokio_util::task::TaskTracker;
 use super::lag;
 use super::launch::{goes_on, launch_or_drain};
 use super::watch::{PageServer, beside};
-use crate::cli::{AccessArgs, UpArgs};
+use crate::cli::UpArgs;
 use crate::credentials::{check_listening, guard_options};
 use crate::ending::{Watch, drain_on_request, unless_drained, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -30,7 +30,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
     let shutdown = watch(Watch::SignalsAsSupervisor).blame(ExitCode::Failed)?;
     let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
     let beside = match &args.watch {
-        Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, &args.access).await?)),
+        Some(http) => Some(Arc::new(BesidePage::bind(tasks, http, args).await?)),
         None if args.access.token.is_some() => {
             return Err(Failure::input("--token is for the page of the run: add --watch ADDRESS"));
         }
@@ -62,6 +62,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         trace,
         status: args.status.as_deref(),
         learner_stdout: true,
+        json: args.json,
         options,
         ..Launch::new(Naming::Resume, args.actors)
     };
@@ -94,9 +95,9 @@ struct BesidePage {
 }
 
 impl BesidePage {
-    async fn bind(tasks: &Tasks, http: &str, access: &AccessArgs) -> Result<Self, Failure> {
-        let server = PageServer::bind(http, access).await?;
-        server.announce(false);
+    async fn bind(tasks: &Tasks, http: &str, args: &UpArgs) -> Result<Self, Failure> {
+        let server = PageServer::bind(http, &args.access).await?;
+        server.announce(args.json);
         let (stop, working) = (CancellationToken::new(), TaskTracker::new());
         let (tasks, server, page) = (tasks.clone(), Mutex::new(Some(server)), Mutex::default());
         Ok(Self { tasks, stop, server, page, working })
