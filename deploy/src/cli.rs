@@ -12,7 +12,7 @@ use clap::{
 };
 use leadtime_config::{Alternatives, Config, ConfigSource, MAX_EPISODES, Override};
 use leadtime_eval::measure::Choice;
-use leadtime_link::Endpoint;
+use leadtime_link::{Endpoint, ListenSettings};
 use leadtime_proto::ClientName;
 use leadtime_runs::tasks::ConfigureError;
 use leadtime_runs::{Tasks, check_place, evaluation};
@@ -470,6 +470,10 @@ pub(crate) struct LearnerArgs {
     pub connect: Vec<String>,
     #[command(flatten)]
     pub guard: GuardArgs,
+    /// Keep room for the rollouts of so many actors, 1 to 1000. Half of 256 MiB is shared out among them; rollouts that find no
+    /// room are sent again.
+    #[arg(long, value_name = "N", default_value_t = ListenSettings::DEFAULT_MAX_ACTORS, value_parser = n_actors())]
+    pub max_actors: u32,
     /// Serve /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
     #[arg(long, value_name = "ADDRESS")]
     pub status: Option<String>,
@@ -926,6 +930,11 @@ fn action() -> impl TypedValueParser<Value = Choice> {
 /// Reads a number of processes.
 fn n_processes() -> clap::builder::RangedI64ValueParser<u32> {
     clap::value_parser!(u32).range(1..=256)
+}
+
+/// Reads for how many actors a learner keeps room.
+fn n_actors() -> clap::builder::RangedI64ValueParser<u32> {
+    clap::value_parser!(u32).range(1..=i64::from(ListenSettings::MOST_ACTORS))
 }
 
 /// Reads a number of episodes.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::time::Duration;
 
@@ -401,6 +402,55 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
         .finish(&["play", run, "-o", "a.bmp"])
         .with_code(2)
         .saying(&["png, svg, gif, html or mp4"]);
+}
+
+/// An ffmpeg that keeps what it is told and given.
+const FAKE_FFMPEG: &str = r#"#!/bin/sh
+printf '%s ' "$@" > told
+for file; do :; done
+cat > "$file"
+"#;
+
+#[test]
+fn a_film_is_what_ffmpeg_makes_of_the_moving_picture() {
+    let place = trained();
+    fs::create_dir_all(place.file("bin")).unwrap();
+    let draw = |path: &str, file: &str| {
+        let mut command = place.program(&["play r -o", file]);
+        command.env("PATH", path);
+        place.start_with(command).finish(PATIENCE)
+    };
+    let bin = place.file("bin");
+    draw(&bin, "a.mp4").with_code(2).saying(&["an mp4 needs ffmpeg: install it, or draw a gif"]);
+    assert!(!place.path().join("a.mp4").exists());
+
+    let usual = std::env::var("PATH").unwrap();
+    let path = format!("{bin}:{usual}");
+    let pretend = |script: &str| {
+        let ffmpeg = place.write("bin/ffmpeg", script);
+        fs::set_permissions(ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
+    };
+    pretend(FAKE_FFMPEG);
+    let drawn = draw(&path, "a.mp4").with_code(0).stdout;
+    assert!(drawn.starts_with("a.mp4: "), "{drawn}");
+    draw(&path, "a.gif").with_code(0);
+    let given = fs::read(place.file("a.mp4")).unwrap();
+    assert!(given == fs::read(place.file("a.gif")).unwrap(), "it is given the whole GIF");
+    let told = fs::read_to_string(place.file("told")).unwrap();
+    for part in ["-f gif -i pipe:0 ", "-pix_fmt yuv420p ", "-f mp4 a.mp4 "] {
+        assert!(told.contains(part), "{told}");
+    }
+    pretend("#!/bin/sh\necho no such codec >&2\nexit 1\n");
+    let told = ["no such codec", "ffmpeg could not write b.mp4: see above"];
+    draw(&path, "b.mp4").with_code(2).saying(&told);
+
+    if !Command::new("ffmpeg").arg("-version").output().is_ok_and(|done| done.status.success()) {
+        println!("skipped: no ffmpeg here");
+        return;
+    }
+    draw(&usual, "real.mp4").with_code(0);
+    let film = fs::read(place.file("real.mp4")).unwrap();
+    assert_eq!(film.get(4..8), Some(&b"ftyp"[..]), "an MP4 names its kind first");
 }
 
 #[test]

@@ -228,10 +228,10 @@ fn what_is_wrong_with_a_certificate_is_one_sentence() {
     refused("-q router --listen tls/127.0.0.1:0", "needs a certificate");
     refused("-q router --listen tcp/127.0.0.1:0 --tls pki/l1", "is for role learner");
     refused("-q learner --listen tcp/127.0.0.1:0 --tls pki/l1", "is not encrypted");
-    place.write("acl.json5", "{ access_control: { enabled: true, messages: [] } }");
+    place.write("acl.json5", "{\n  access_control: { enabled: true, messages: [] }\n}");
     refused(
         "-q learner --listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5",
-        "this is no access list",
+        "acl.json5: this is no access list: line 2: unknown field `messages`",
     );
     for wrong in ["certs issue pki king a5", "certs issue pki actor A", "certs issue pki actor"] {
         place.finish(&[wrong]).with_code(2);

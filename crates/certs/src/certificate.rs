@@ -57,7 +57,12 @@ impl Certificate {
         Self::from_der(&CertificateDer::from_pem_slice(pem).map_err(none)?)
     }
 
-    pub(crate) fn from_der(der: &[u8]) -> Result<Self, String> {
+    /// Reads a certificate in DER, as a peer shows it, or says what is there instead.
+    ///
+    /// # Errors
+    ///
+    /// A fragment such as `a certificate that is damaged`, if it is damaged or followed by anything.
+    pub fn from_der(der: &[u8]) -> Result<Self, String> {
         let damaged = || "a certificate that is damaged".to_owned();
         let (rest, certificate) = X509Certificate::from_der(der).map_err(|_odd| damaged())?;
         if !rest.is_empty() {

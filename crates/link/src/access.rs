@@ -30,6 +30,7 @@ use leadtime_proto::{
 use serde_json::{Value, json};
 use zenoh::config::Config;
 
+use crate::error::NetworkFault;
 use crate::keys::{Key, Keys, Member, ROOT};
 use crate::live::{LIVE_ROOT, LiveKey, LiveTopic};
 use crate::{Error, Result};
@@ -96,11 +97,10 @@ impl AccessList {
     ///
     /// # Errors
     ///
-    /// [`Error::AccessList`] if it is not one.
+    /// [`Error::AccessList`] if it is not one, with the line in which that shows.
     pub fn parse(text: &str) -> Result<Self> {
         let bad = |problem: String| Error::AccessList(leadtime_proto::text::sentence(&problem));
-        let plain = |error: zenoh::Error| bad(crate::error::NetworkFault(error).to_string());
-        let config = Config::from_json5(text).map_err(plain)?;
+        let config = Config::from_json5(text).map_err(|error| bad(with_line(error)))?;
         let list = config.get_json(SETTING).map_err(|error| bad(error.to_string()))?;
         let list: Value = serde_json::from_str(&list).map_err(|error| bad(error.to_string()))?;
         if list["enabled"] != true || list["default_permission"] != "deny" {
@@ -446,6 +446,16 @@ fn rules_of_one_robot(name: &str) -> Vec<AccessRule> {
     ]
 }
 
+/// Returns what is wrong with a list, and in which line where the network library's reader knows it.
+fn with_line(error: zenoh::Error) -> String {
+    let Some(json5::Error::Message { msg, location: Some(place) }) = error.downcast_ref() else {
+        return NetworkFault(error).to_string();
+    };
+    // About text that is no JSON5 it draws the place; what it expected there is in the last line.
+    let said = msg.lines().last().unwrap_or_default().trim_start_matches([' ', '=']);
+    format!("line {}: {said}", place.line)
+}
+
 /// Returns what everybody of a role may do.
 fn rules_of(role: Role) -> Vec<AccessRule> {
     let keys = Patterns::new();
@@ -590,8 +600,13 @@ mod tests {
         let read = AccessList::parse(&text).unwrap();
         assert_eq!(read.0["rules"].as_array().unwrap().len(), 62);
         assert_eq!(AccessList::parse(&read.to_text()).unwrap(), read);
+        let before = &text[..text.find("\"query\"").unwrap()];
+        let line = format!("line {}: unknown variant `ask`", before.lines().count());
         let error = AccessList::parse(&text.replace("\"query\"", "\"ask\"")).unwrap_err();
-        assert!(error.to_string().contains("ask"), "{error}");
+        assert!(error.to_string().contains(&line), "{error}");
+        let torn = AccessList::parse("{\n  access_control: {\n    enabled: }\n}").unwrap_err();
+        let torn = torn.to_string();
+        assert!(torn.contains("line 3: expected ") && !torn.contains('^'), "{torn}");
         let open = text.replace("\"deny\"", "\"allow\"");
         AccessList::parse(&open).unwrap_err();
         AccessList::parse("{}").unwrap_err();

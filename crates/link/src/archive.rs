@@ -10,7 +10,7 @@ use std::thread;
 use leadtime_proto::header::Schema;
 use leadtime_proto::limits::{MAX_HISTORY_POINTS, MAX_METRICS_BYTES};
 use leadtime_proto::{Header, Incarnation, RunName};
-use zenoh::query::{Query, Queryable};
+use zenoh::query::{Parameters, Query, Queryable};
 use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
@@ -74,8 +74,7 @@ pub(crate) fn serve(
 }
 
 fn answer(query: Query, incarnation: Incarnation, history: &HistoryMaker) -> PendingReply {
-    let (from, n_points) = match asked(query.parameters().get(FROM), query.parameters().get(POINTS))
-    {
+    let (from, n_points) = match asked(query.parameters()) {
         Ok(asked) => asked,
         Err(reason) => return PendingReply::Refusal(query, reason),
     };
@@ -92,14 +91,25 @@ fn answer(query: Query, incarnation: Incarnation, history: &HistoryMaker) -> Pen
 }
 
 /// Reads what a question asks for.
-fn asked(from: Option<&str>, points: Option<&str>) -> Result<(u64, usize), String> {
-    let number = |text: Option<&str>, default: u64| text.map_or(Ok(default), str::parse::<u64>);
-    let read = number(from, 0).ok().zip(number(points, DEFAULT_POINTS as u64).ok());
+fn asked(parameters: &Parameters<'_>) -> Result<(u64, usize), String> {
+    let number =
+        |name: &str, default: u64| parameters.get(name).map_or(Ok(default), str::parse::<u64>);
+    let read = number(FROM, 0).ok().zip(number(POINTS, DEFAULT_POINTS as u64).ok());
     let is_allowed = |(_, points): &(u64, u64)| (1..=MAX_HISTORY_POINTS as u64).contains(points);
     let (from, points) = read.filter(is_allowed).ok_or_else(|| {
-        format!("write ?from=UPDATE&points=NUMBER, with 1 to {MAX_HISTORY_POINTS} points")
+        format!("write ?from=UPDATE;points=NUMBER, with 1 to {MAX_HISTORY_POINTS} points")
     })?;
     Ok((from, points as usize))
+}
+
+/// Reads what a question about the history asks for, as a learner that is asked does: the first update, and the most points.
+///
+/// # Errors
+///
+/// A sentence that says what can be asked, if it asks for anything else.
+#[cfg(feature = "fakes")]
+pub fn history_question(parameters: &str) -> Result<(u64, usize), String> {
+    asked(&parameters.into())
 }
 
 #[cfg(test)]
@@ -108,18 +118,20 @@ mod tests {
 
     #[test]
     fn a_question_has_bounds_and_defaults() {
-        assert_eq!(asked(None, None), Ok((0, DEFAULT_POINTS)));
-        assert_eq!(asked(Some("7"), Some("4000")), Ok((7, 4_000)));
-        for (from, points) in [
-            (Some("-1"), None),
-            (Some(""), None),
-            (None, Some("0")),
-            (None, Some("4001")),
-            (None, Some("99999999999999999999999")),
-            (Some("1;DROP"), Some("x")),
+        let asked = |text: &str| asked(&text.into());
+        assert_eq!(asked(""), Ok((0, DEFAULT_POINTS)));
+        assert_eq!(asked("from=7;points=4000"), Ok((7, 4_000)));
+        for odd in [
+            "from=-1",
+            "from=",
+            "points=0",
+            "points=4001",
+            "points=99999999999999999999999",
+            "from=1;DROP;points=x",
+            "from=7&points=4000",
         ] {
-            let refused = asked(from, points).unwrap_err();
-            assert!(refused.contains("1 to 4000 points"), "{refused}");
+            let refused = asked(odd).unwrap_err();
+            assert!(refused.contains("from=UPDATE;points=NUMBER, with 1 to 4000"), "{refused}");
         }
     }
 }

@@ -11,7 +11,7 @@
 //! leadtime/1/{run}/region/{region}/weights/{domain}/latest   the same query to the relay of a region
 //! leadtime/1/{run}/metrics/{role}/{id}               metrics
 //! leadtime/1/{run}/about                             query: what the run is
-//! leadtime/1/{run}/history                           query: its updates so far, `?from=U&points=N`
+//! leadtime/1/{run}/history                           query: its updates so far, `?from=U;points=N`
 //! ```
 //!
 //! The `1` is the layout of the keys; the version of the messages is in their headers. The learner's `{id}` is

@@ -89,6 +89,8 @@ mod wire;
 pub use access::AccessList;
 pub use actor::ActorLink;
 pub use answer::{ControlResponder, HelloResponder, Responder};
+#[cfg(feature = "fakes")]
+pub use archive::history_question;
 pub use archive::{Archive, HistoryMaker};
 pub use endpoint::Endpoint;
 pub use error::{Error, NetworkFault, RUN_IS_ENDING, Result};

@@ -14,7 +14,7 @@ use serde::Deserialize;
 /// The variable; a value that the person has set is theirs.
 pub const RUNTIME_VARIABLE: &str = "ZENOH_RUNTIME";
 /// Threads that may block, for each runtime in which connections end, open and receive: more than twice the connections
-/// that may be opening at once (1,000) and eight times the senders that a learner serves at once by default (256 actors),
+/// that may be opening at once (1,000) and than the senders that a learner may be told to serve at once (1,000 actors),
 /// because a connection may still be ending while its successor opens. A thread is started only when it is needed.
 const N_BLOCKING: usize = 2_048;
 /// Threads that do the upkeep of connections: with one, whatever waits there holds up all connections.
@@ -98,8 +98,8 @@ mod tests {
 
     #[test]
     fn there_are_threads_for_all_connections_to_end_and_open_at_once() {
-        let max_actors = ListenSettings::new(Vec::new()).max_actors;
-        assert!(N_BLOCKING > 2 * max_actors && N_BLOCKING > 2 * ACCEPT.0 as usize);
+        const { assert!(N_BLOCKING > 2 * ListenSettings::MOST_ACTORS as usize) };
+        const { assert!(N_BLOCKING > 2 * ACCEPT.0 as usize) };
         assert_eq!(runtime().matches("2048").count(), 3, "{}", runtime());
     }
 

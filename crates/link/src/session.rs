@@ -64,7 +64,8 @@ pub struct ListenSettings {
     pub access: Option<AccessList>,
     /// The most rollouts of one actor that wait in the event queue, at least the run's window. Default: 64.
     pub rollouts_per_actor: usize,
-    /// The most actors whose rollouts wait in the event queue at once. Default: 256.
+    /// The most actors whose rollouts wait in the event queue at once, at most [`Self::MOST_ACTORS`]. Default:
+    /// [`Self::DEFAULT_MAX_ACTORS`].
     pub max_actors: usize,
     /// The most bytes of rollouts that wait in the event queue: one half is shared out among `max_actors` senders, the
     /// other half is shared by the senders that need more. Default: 256 MiB.
@@ -72,6 +73,12 @@ pub struct ListenSettings {
 }
 
 impl ListenSettings {
+    /// How many actors a learner keeps room for unless it is told otherwise.
+    pub const DEFAULT_MAX_ACTORS: u32 = 256;
+    /// The most that it can be told: the network library holds a thousand connections, and has threads for so many to end and
+    /// open at once.
+    pub const MOST_ACTORS: u32 = 1_000;
+
     /// Listens on these addresses, everything else as documented.
     pub fn new(endpoints: Vec<Endpoint>) -> Self {
         Self {
@@ -81,7 +88,7 @@ impl ListenSettings {
             identity: None,
             access: None,
             rollouts_per_actor: 64,
-            max_actors: 256,
+            max_actors: Self::DEFAULT_MAX_ACTORS as usize,
             max_queued_bytes: 256 << 20,
         }
     }

@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_config::Config;
 use leadtime_learner::{RunEnd, RunReport};
-use leadtime_link::Endpoint;
+use leadtime_link::{Endpoint, ListenSettings};
 use leadtime_process::{MetricsPipe, ProcessTrace, TraceFile, log_line};
 use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
@@ -41,8 +41,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
     let config = args.run.load(tasks, &args.source).blame(ExitCode::WrongInput)?;
-    let listen = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)
-        .blame(ExitCode::WrongInput)?;
+    let listen = listening(args).blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     // A supervisor has made the file.
     let trace = args.run.trace.file.as_deref();
@@ -197,12 +196,21 @@ fn addresses(args: &LearnerArgs) -> Vec<String> {
     if is_reached { args.listen.clone() } else { vec![DEFAULT_ADDRESS.to_owned()] }
 }
 
-/// Returns the options that give another learner the same addresses.
+/// Returns how this learner is reached, and for how many actors it keeps room.
+fn listening(args: &LearnerArgs) -> anyhow::Result<ListenSettings> {
+    let settings = listen_settings(&addresses(args), &args.connect, &args.guard, Role::Learner)?;
+    Ok(ListenSettings { max_actors: args.max_actors as usize, ..settings })
+}
+
+/// Returns the options that give another learner the same addresses, and the same room for actors.
 fn network_options(args: &LearnerArgs) -> Vec<OsString> {
-    let option = |name: &str, address: &String| [name.into(), address.into()];
+    let option = |name: &str, value: &String| -> [OsString; 2] { [name.into(), value.into()] };
     let listen = args.listen.iter().flat_map(|address| option("--listen", address));
     let connect = args.connect.iter().flat_map(|address| option("--connect", address));
-    listen.chain(connect).chain(guard_options(&args.guard)).collect()
+    let is_default = args.max_actors == ListenSettings::DEFAULT_MAX_ACTORS;
+    let room = option("--max-actors", &args.max_actors.to_string());
+    let room = room.into_iter().filter(|_| !is_default);
+    listen.chain(connect).chain(guard_options(&args.guard)).chain(room).collect()
 }
 
 /// Chooses the exit code for a learner's error.
@@ -305,4 +313,34 @@ fn print_end(
         output::line(&format!("best     {}", held_out_sentence(means)));
     }
     output::line(&format!("books    {}", books_sentence(books)));
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::{Cli, Command};
+
+    fn read(options: &str) -> Result<LearnerArgs, clap::Error> {
+        let words = format!("leadtime learner -c cartpole {options}");
+        match Cli::try_parse_from(words.split_whitespace())?.command {
+            Command::Learner(args) => Ok(args),
+            other => panic!("{other:?} is another command"),
+        }
+    }
+
+    #[test]
+    fn the_room_for_actors_reaches_the_network_and_whoever_goes_on() {
+        let args = read("").unwrap();
+        assert_eq!(listening(&args).unwrap().max_actors, 256);
+        assert!(network_options(&args).is_empty());
+        let args = read("--max-actors 700").unwrap();
+        assert_eq!(listening(&args).unwrap().max_actors, 700);
+        assert_eq!(network_options(&args), ["--max-actors", "700"]);
+        for wrong in ["0", "1001", "-1", "many"] {
+            let told = read(&format!("--max-actors={wrong}")).unwrap_err().to_string();
+            assert!(told.contains("--max-actors"), "{told}");
+        }
+    }
 }
