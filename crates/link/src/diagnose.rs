@@ -96,7 +96,7 @@ fn handshake(address: &str, identity: &Identity, stream: TcpStream, whom: Whom) 
     identity.probe(host, stream).map_or_else(Obstacle::Handshake, |()| Obstacle::Stranger(whom))
 }
 
-/// Tries to connect.
+/// Connects to one of a host's addresses, or says what is in the way at the last one.
 fn tcp(address: &str, whom: Whom) -> Result<TcpStream, Obstacle> {
     let Ok(addresses) = address.to_socket_addrs() else { return Err(Obstacle::Unresolved) };
     let mut last = Obstacle::Unresolved;

@@ -20,7 +20,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// The log file of this process; none until one is opened.
 static LOG: OnceLock<LogFile> = OnceLock::new();
 
-/// A log file.
+/// A log file, which is opened again once its path names another one.
 #[derive(Debug)]
 struct LogFile {
     path: PathBuf,

@@ -50,7 +50,7 @@ pub enum StaysBecause {
     CannotRemove,
 }
 
-/// An old run.
+/// A run that is old enough to be removed, or what is left of one.
 #[derive(Clone, Debug, Serialize)]
 pub struct OldRun {
     /// Its name in the directory of runs.

@@ -137,7 +137,7 @@ type Ranked<'a> = (usize, &'a RaceScore);
 /// What a race costs at most.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RaceCost {
-    /// How many begin.
+    /// How many racers begin.
     pub racers: u64,
     /// Steps of each of them to the quarter.
     pub steps_each: u64,
@@ -171,7 +171,7 @@ pub struct Race {
     pub n_keep: usize,
     /// Episodes of the comparison at the end.
     n_episodes: u32,
-    /// The first racer's.
+    /// The seed of the first racer; each other one has the next.
     seed: u64,
 }
 
