@@ -529,7 +529,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_announced_as_weights_and_is_none_is_pulled_again() {
+    fn announced_bytes_that_are_not_weights_are_pulled_again() {
         let actions = ActionSpec::discrete("a", 2);
         let policy = PolicySpec::dense(&EnvSpec { obs_dim: 1, actions, metrics: Vec::new() }, &[8]);
         let version = PolicyVersion(3);

@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_path_holds_is_no_order_to_the_terminal() {
+    fn control_characters_of_a_path_do_not_reach_the_terminal() {
         let text = "run\truns/a\u{1b}[2J\u{7}b\r\nnext\u{202e}\n";
         assert_eq!(shown(text), "run\truns/a\\u{1b}[2J\\u{7}b\\r\nnext\\u{202e}\n");
         assert_eq!(shown("a ± b\n\n\tc"), "a ± b\n\n\tc");

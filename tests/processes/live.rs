@@ -191,7 +191,7 @@ fn a_world_that_goes_by_the_clock_is_kept_up_with() {
 }
 
 #[test]
-fn who_is_not_let_in_is_told_why() {
+fn a_client_that_is_not_let_in_is_told_why() {
     let place = Place::new();
     let notifier = serve(&place, "--max-sessions 2");
     let first = Client::connect(&place, "car-1", 1);
@@ -229,7 +229,7 @@ fn who_is_not_let_in_is_told_why() {
 }
 
 #[test]
-fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
+fn an_unusable_observation_is_answered_with_one_sentence_and_sixteen_in_a_row_end_the_session() {
     let place = Place::new();
     let _notifier = serve(&place, "");
     let mut client = Client::connect(&place, "car-1", 1);
@@ -266,7 +266,7 @@ fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
 }
 
 #[test]
-fn what_is_too_long_is_told() {
+fn a_message_that_is_too_long_is_reported() {
     let place = Place::new();
     let _notifier = serve(&place, "");
     let mut client = Client::connect(&place, "car-1", 1);
@@ -286,7 +286,7 @@ fn what_is_too_long_is_told() {
 }
 
 #[test]
-fn who_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_back() {
+fn a_client_that_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_back() {
     let place = Place::new();
     let _notifier = serve(&place, "--state state");
     let mut client = Client::connect(&place, "car-1", 1);
@@ -325,7 +325,7 @@ fn who_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_b
 }
 
 #[test]
-fn who_has_to_give_up_its_place_is_told() {
+fn a_client_that_has_to_give_up_its_place_is_told() {
     let place = Place::new();
     let _notifier = serve(&place, "--max-sessions 1");
     // Its presence is that of another start: nobody knows that it is there.

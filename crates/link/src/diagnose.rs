@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_missing_is_named_with_what_starts_it() {
+    fn a_missing_process_is_named_with_the_command_that_starts_it() {
         let told = Obstacle::Refused("notifier").to_string();
         let start = "start a service there: `leadtime serve POLICY --listen ENDPOINT`, or";
         assert!(told.contains(start), "{told}");

@@ -394,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_for_one_proves_nothing_to_another_and_back() {
+    fn a_message_for_one_start_proves_nothing_to_another_or_to_its_sender() {
         let (actor, learner, stranger) = (keyring(1), keyring(2), keyring(3));
         let (header, sent) = message(&actor, &learner, b"rollout");
         assert_eq!(cause(stranger.check(&header, &sent)), NO);
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn who_proves_nothing_takes_no_place_among_the_keys() {
+    fn a_sender_that_proves_nothing_takes_no_place_among_the_keys() {
         let (learner, stranger) = (keyring(1), keyring(2));
         let (header, mut sent) = message(&stranger, &learner, b"rollout");
         sent[0] ^= 1;

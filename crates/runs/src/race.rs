@@ -491,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_dropped_out_does_not_go_on_and_returns_are_compared_by_their_errors() {
+    fn a_racer_that_dropped_out_does_not_go_on_and_returns_are_compared_by_their_errors() {
         let (ahead, close, far) = (score(12, false), score(10, false), score(2, false));
         assert_eq!(going_on(&[None, Some(&ahead), Some(&close), Some(&far)], 4), [1, 2]);
         assert_eq!(going_on(&[None, None], 1), [0; 0]);

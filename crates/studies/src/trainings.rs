@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_training_is_compared_with_none() {
+    fn a_single_training_is_not_compared() {
         assert_eq!(RowTrainings::new(vec![0.9], 0.05, &Bootstrap::new(1)), None);
     }
 }

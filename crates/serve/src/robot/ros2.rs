@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beside_a_message_crosses_and_nothing_else_is_taken_for_it() {
+    fn a_message_keeps_its_attachment_and_other_bytes_are_not_taken_for_one() {
         let gid = *b"0123456789abcdef";
         let mark = SourceMark { number: 17, time: 1_796_000_000_123_456_789, gid };
         let beside = mark.write();

@@ -90,7 +90,7 @@ fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
 }
 
 #[test]
-fn a_landing_after_a_zone_is_no_success() {
+fn a_landing_after_a_zone_is_not_a_success() {
     let settings = settings(|s| (s.zones, s.zone_ends_episode) = (vec![SKY], false));
     let landed = (0..20).find_map(|episode| {
         let mut task = start(&settings, episode);
