@@ -372,6 +372,19 @@ fn a_full_disk_costs_no_results() {
     let evaluated = evaluated.with_code(WRONG_INPUT);
     assert!(!evaluated.stdout.is_empty(), "the results are printed first");
     evaluated.saying(&["writing /dev/full"]);
+    // A file for which there is no room stays as it was.
+    let steps = place.write("steps.jsonl", "old\n");
+    let mut limited = place.program_at(Path::new("sh"), &[]);
+    limited.args(["-c", "trap '' XFSZ; ulimit -f 32; exec \"$@\"", "sh"]);
+    limited.args([env!("CARGO_BIN_EXE_leadtime"), "eval", "r", "--episodes", "200"]);
+    limited.args(["--episodes-to", &steps]);
+    let evaluated = place.start_with(limited).finish(PATIENCE).with_code(WRONG_INPUT);
+    assert!(!evaluated.stdout.is_empty(), "the results are printed first");
+    evaluated.saying(&["writing ", "steps.jsonl"]);
+    assert_eq!(fs::read_to_string(&steps).unwrap(), "old\n");
+    let files = fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name());
+    let partial = files.filter(|name| name.to_string_lossy().contains("partial"));
+    assert_eq!(partial.count(), 0, "it is removed");
 }
 
 #[test]
