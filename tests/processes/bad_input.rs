@@ -400,6 +400,18 @@ fn a_pipe_that_is_given_for_a_file_is_refused_and_not_waited_for() {
 }
 
 #[test]
+fn a_pipe_in_the_place_of_a_runs_page_keeps_nobody_waiting() {
+    let place = Place::new();
+    let up = ["up --name r --actors 1 --stop-after 1", SMALL];
+    place.finish(&up).with_code(0);
+    let page = place.run("r").join("report.html");
+    fs::remove_file(&page).unwrap();
+    assert!(Command::new("mkfifo").arg(&page).status().unwrap().success());
+    refused(&place, &["report r --episodes 2"], &["report.html is not a file: move it away"]);
+    place.finish(&up).with_code(0).saying(&["report.html cannot be written", "is not a file"]);
+}
+
+#[test]
 fn control_characters_of_an_argument_do_not_reach_the_terminal() {
     let place = Place::new();
     let directory = |name: &str| place.path().join(format!("{name}\u{1b}[2J"));
