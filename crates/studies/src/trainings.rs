@@ -25,7 +25,7 @@ pub(crate) struct RowTrainings {
     pub(crate) failed: Interval,
     /// Mean success without the best and the worst quarter.
     pub(crate) interquartile_mean: f64,
-    /// Mean success, with an interval that holds however trainings are distributed.
+    /// Mean success, with a cautious interval: no distribution of trainings is known for which it fails.
     pub(crate) mean: Interval,
 }
 
