@@ -68,7 +68,7 @@ fn bare(n_steps: u64, rounds: u32) {
     }
 }
 
-/// `[world]`
+/// The section `[world]` of a configuration: what this world can be told.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 struct World {

@@ -43,7 +43,7 @@ fn main() -> ExitCode {
 /// What differs from the general defaults of a domain of one's own.
 const SETTINGS: &str = include_str!("corridor.toml");
 
-/// `[world]`
+/// The section `[world]` of a configuration: what this world can be told.
 #[derive(Clone, Debug, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 struct World {

@@ -745,7 +745,7 @@ fn reference(schedule: Schedule, n_envs: usize, n_updates: usize) -> Vec<Trained
 }
 
 #[test]
-fn whatever_goes_wrong_the_run_goes_on_with_the_same_rollouts_and_balanced_books() {
+fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
     for seed in 0..N_RUNS {
         let mut world = World::new(seed).run();
         let (schedule, n_updates) = (world.spec.schedule, world.trained.len());

@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_that_is_none_costs_its_own_environment_only() {
+    fn a_snapshot_that_cannot_be_restored_costs_only_its_own_environment() {
         let tasks = leadtime_sims::classic::entries().into_iter();
         let registry = tasks.fold(Registry::default(), Registry::with_domain);
         let settings = r#"{"world": {"max_steps": 30}}"#.to_owned();

@@ -8,7 +8,7 @@ use leadtime_proto::{ActorId, PolicyVersion, RunName, Sequence};
 /// Everything an actor needs before it meets a learner; the rest comes with the welcome.
 #[derive(Clone, Debug)]
 pub struct ActorSettings {
-    /// The actor's name.
+    /// The name by which a learner knows this actor.
     pub actor: ActorId,
     /// The keys of this start of the actor, drawn for every start.
     pub start: StartKey,
@@ -28,7 +28,7 @@ pub struct ActorSettings {
 /// The state of an actor at one moment, for its status page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ActorProgress {
-    /// Environment steps simulated.
+    /// Environment steps simulated since the process began.
     pub n_steps: u64,
     /// Rollouts sent and not acknowledged.
     pub n_unacknowledged: u64,
@@ -47,7 +47,7 @@ pub struct ActorProgress {
 pub enum ActorEnd {
     /// The learner dismissed it.
     Dismissed {
-        /// The learner's sentence.
+        /// Why, in the learner's words.
         reason: String,
     },
     /// This process was asked to stop.
@@ -57,11 +57,11 @@ pub enum ActorEnd {
 /// An actor's own account of what it did: the other half of the learner's books.
 #[derive(Clone, Debug)]
 pub struct ActorReport {
-    /// The run.
+    /// The run that it took part in.
     pub run: RunName,
-    /// Why it ended.
+    /// Why it left.
     pub end: ActorEnd,
-    /// Environment steps simulated.
+    /// Environment steps simulated since the process began.
     pub n_steps: u64,
     /// Rollouts made and numbered.
     pub made: Sequence,

@@ -33,7 +33,7 @@ pub enum Error {
     /// An environment's snapshot cannot be restored here.
     #[error("environment {env_id} cannot go on from its snapshot: run the same release everywhere")]
     Snapshot {
-        /// The environment.
+        /// Which environment of the assignment it is.
         env_id: EnvId,
         /// What is wrong with the snapshot.
         source: SnapshotError,
@@ -59,15 +59,15 @@ pub enum Error {
     /// The learner cut this actor off.
     #[error("run `{run}` cut this actor off: {reason}")]
     CutOff {
-        /// The run.
+        /// The run whose learner did it.
         run: RunName,
-        /// The learner's sentence.
+        /// Why, in the learner's words.
         reason: String,
     },
     /// The learner was lost and not found again.
     #[error("the learner of run `{run}` was lost and did not come back within {}", duration(*timeout))]
     LearnerLost {
-        /// The run.
+        /// The run that is without a learner.
         run: RunName,
         /// How long it was looked for.
         timeout: Duration,

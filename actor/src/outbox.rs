@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn who_leaves_keeps_only_what_was_sent() {
+    fn a_leaving_actor_keeps_only_what_was_sent() {
         let mut outbox = outbox(4, 2);
         send_all(&mut outbox);
         outbox.drop_unsent();

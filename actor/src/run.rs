@@ -114,6 +114,7 @@ pub async fn run_watched(
     };
     let link = Arc::new(link);
     let result = live(settings, registry, &link, &events, &stop, sink).await;
+    // After an error as well: the others see at once that this actor is gone, and do not wait for its silence.
     if let Err(error) = link.close().await {
         debug!(%error, "network not closed in time");
     }
@@ -135,6 +136,7 @@ async fn live(
         () = stop.cancelled() => return Err(Error::CancelledEarly),
     };
     let welcome = match welcome {
+        // The run ended while this actor was on its way: nothing has failed.
         Err(leadtime_link::Error::Ending { run }) => {
             info!("leaving: {RUN_IS_ENDING}");
             return Ok(ActorReport::of_latecomer(run));
@@ -199,6 +201,7 @@ impl Process {
             collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
             restorer: JobThread::start("actor-restore", 1, restore)?,
             publisher: JobThread::start("actor-publish", 1, publish)?,
+            // A hello and a pull at most are under way: each has a place, so no task waits to hand in its result.
             tasks: mpsc::channel(2),
             n_steps: spec.n_steps,
             metrics: Metrics::default(),
@@ -212,6 +215,7 @@ impl Process {
         events: &Events<ActorEvent>,
         stop: &CancellationToken,
     ) -> Result<ActorEnd, Error> {
+        // After a stall one tick is due, not one for every second of it.
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -243,6 +247,7 @@ impl Process {
         ticks: &mut Interval,
     ) -> Result<(), Error> {
         self.actor.begin_leaving();
+        // The token that ended the work is cancelled for good: it would wake this loop without end.
         let never = CancellationToken::new();
         let deadline = tokio::time::Instant::now() + LAST_ROLLOUT;
         while self.actor.is_busy() {
@@ -295,6 +300,7 @@ impl Process {
                 self.metrics.add(&collected, self.n_steps);
                 let learner = self.actor.learner().0;
                 phases::collected(self.sink.as_mut(), &collected, self.waits_for, learner);
+                // Until the actor says otherwise: what comes between this job and the next is the loop.
                 self.waits_for = CollectWait::Loop;
                 ActorInput::Collected { rollouts: collected.rollouts, next: collected.next }
             }
@@ -308,6 +314,7 @@ impl Process {
                 for SentRollout { header, n_bytes, sent } in rollouts {
                     match &sent.value {
                         Ok(()) => self.metrics.publish += sent.duration,
+                        // Not lost: it stays in the outbox until it is acknowledged.
                         Err(error) => debug!(%error, "rollout not published"),
                     }
                     phases::published(self.sink.as_mut(), &header, n_bytes, &sent);
@@ -357,6 +364,7 @@ impl Process {
                 let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
                 tokio::spawn(async move {
                     let started = Instant::now();
+                    // By digest: whoever answers, only what the learner announced is taken.
                     let pulled = link.pull_weights(version, sha256).await;
                     let pulled = Timed::since(started, pulled);
                     drop(done.send(ActorWake::Pulled(version, pulled)).await);
@@ -371,6 +379,7 @@ impl Process {
         let (link, done) = (Arc::clone(&self.link), self.tasks.0.clone());
         let run = self.actor.welcome.run.clone();
         tokio::spawn(async move {
+            // By name: a learner of another run may be there by now, and this actor is built for one task.
             let answer = link.hello(Some(&run), &hello, timeout).await;
             drop(done.send(ActorWake::Greeted(answer.map(Box::new).map_err(Box::new))).await);
         });
@@ -393,6 +402,7 @@ impl Process {
                 Ok(Some(ActorEvent::LearnerLeft(learner))) if learner == self.actor.learner() => {
                     break;
                 }
+                // Credit says what has arrived. Orders go unanswered, as those to an actor that is gone.
                 Ok(Some(event @ ActorEvent::Credit(_))) => {
                     self.actor.handle(Instant::now(), from_network(event));
                 }
@@ -519,7 +529,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_announced_as_weights_and_is_none_is_pulled_again() {
+    fn announced_bytes_that_are_not_weights_are_pulled_again() {
         let actions = ActionSpec::discrete("a", 2);
         let policy = PolicySpec::dense(&EnvSpec { obs_dim: 1, actions, metrics: Vec::new() }, &[8]);
         let version = PolicyVersion(3);

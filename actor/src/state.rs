@@ -68,7 +68,7 @@ pub enum ActorInput<W, R, E> {
     Order {
         /// The start of the learner: anybody in the network may be one, and only our own is followed.
         learner: Incarnation,
-        /// The order.
+        /// What it orders.
         control: Control,
         /// Where to answer it.
         reply: R,
@@ -124,7 +124,7 @@ pub enum ActorInput<W, R, E> {
 pub enum ActorOutput<W, R, E> {
     /// Say hello; [`ActorInput::Welcomed`] or [`ActorInput::NotWelcomed`] follows.
     Hello {
-        /// The message.
+        /// What the actor says of itself.
         hello: Hello,
         /// How long to look for the learner and to wait for its answer.
         timeout: Duration,
@@ -144,7 +144,7 @@ pub enum ActorOutput<W, R, E> {
     },
     /// Have the collecting thread collect the lowest iteration; [`ActorInput::Collected`] follows.
     Collect {
-        /// The behaviour version.
+        /// The version of the policy that acts.
         version: PolicyVersion,
         /// The weights of the behaviour version.
         weights: W,

@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn what_will_be_needed_is_pulled_while_what_is_needed_is_on_its_way() {
+    fn the_next_version_is_pulled_while_the_one_needed_now_is_on_its_way() {
         let cache: WeightCache<()> = WeightCache::new(Schedule::Lag(3), &news(4..=8));
         let mut coming = Vec::new();
         while let Some((version, _)) =
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn who_needs_what_is_neither_announced_nor_kept_is_behind() {
+    fn an_actor_that_needs_a_version_neither_announced_nor_kept_is_behind() {
         let mut cache = WeightCache::new(Schedule::Lag(1), &news(4..=5));
         assert_eq!(wanted(&cache, Some(4)), Some(3));
         assert!(cache.failed(PolicyVersion(3), true, Some(Iteration(4))));

@@ -30,7 +30,7 @@ use leadtime_sims::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 pub enum Phase {
     /// Inference and sampling.
     Infer,
-    /// Environments.
+    /// Stepping the environments.
     Simulate,
 }
 
@@ -40,7 +40,7 @@ pub trait Stopwatch {
     fn lap(&mut self, phase: Phase);
 }
 
-/// Measures nothing.
+/// For a caller who measures nothing: every lap is dropped.
 impl Stopwatch for () {
     fn lap(&mut self, _phase: Phase) {}
 }

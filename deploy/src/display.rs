@@ -33,7 +33,7 @@ impl Display {
         }
     }
 
-    /// Shows one update.
+    /// Shows how far training has come with an update.
     pub(crate) fn update(&mut self, progress: &UpdateProgress) {
         let (n, total) = (progress.n_updates, progress.n_updates_total);
         let (first, since) = *self.began.get_or_insert((n, Instant::now()));

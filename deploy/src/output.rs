@@ -14,7 +14,7 @@ use std::sync::OnceLock;
 
 use anyhow::Context as _;
 use leadtime_proto::text::{escaped, own_message};
-use leadtime_runs::{command_line, journal, program_name, write_atomically};
+use leadtime_runs::{PartialFile, command_line, journal, program_name, write_atomically};
 pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
 
@@ -54,9 +54,60 @@ fn shown(text: &str) -> String {
 /// What is no file, such as `/dev/stdout` or a pipe, takes the content; it is not replaced. Of a link, what it leads to is
 /// replaced.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let written =
-        if is_stream(path) { pour(path, bytes) } else { write_atomically(&meant(path), bytes) };
-    written.with_context(|| format!("writing {}", path.display()))
+    let written = if is_stream(path) {
+        stream(path).and_then(|mut stream| pour(&mut stream, bytes))
+    } else {
+        write_atomically(&meant(path), bytes)
+    };
+    written.with_context(|| writing(path))
+}
+
+/// A file that grows piece by piece; whole or not at all, as [`file()`] has it.
+pub(crate) struct GrowingFile<'a> {
+    path: &'a Path,
+    target: GrowingTarget,
+}
+
+/// What takes the pieces of a file.
+enum GrowingTarget {
+    /// What is no file: it has what was written so far.
+    Stream(Box<dyn io::Write>),
+    Partial(PartialFile),
+}
+
+impl<'a> GrowingFile<'a> {
+    /// Begins the file.
+    pub(crate) fn begin(path: &'a Path) -> anyhow::Result<Self> {
+        let target = if is_stream(path) {
+            stream(path).map(GrowingTarget::Stream)
+        } else {
+            PartialFile::create(&meant(path)).map(GrowingTarget::Partial)
+        };
+        Ok(Self { path, target: target.with_context(|| writing(path))? })
+    }
+
+    /// Adds a piece.
+    pub(crate) fn add(&mut self, piece: &str) -> anyhow::Result<()> {
+        let written = match &mut self.target {
+            GrowingTarget::Stream(stream) => pour(stream, piece.as_bytes()),
+            GrowingTarget::Partial(file) => file.write_all(piece.as_bytes()),
+        };
+        written.with_context(|| writing(self.path))
+    }
+
+    /// Puts the whole file in its place.
+    pub(crate) fn end(self) -> anyhow::Result<()> {
+        let placed = match self.target {
+            GrowingTarget::Stream(_) => Ok(()),
+            GrowingTarget::Partial(file) => file.place(),
+        };
+        placed.with_context(|| writing(self.path))
+    }
+}
+
+/// Says what could not be done with a path.
+fn writing(path: &Path) -> String {
+    format!("writing {}", path.display())
 }
 
 /// Makes sure that [`file()`] can write there, and leaves nothing behind: long work must not end with a refusal.
@@ -65,9 +116,12 @@ pub(crate) fn check_file(path: &Path) -> anyhow::Result<()> {
         return Ok(());
     }
     let meant = meant(path);
+    if meant.is_dir() {
+        return Err(io::Error::from(io::ErrorKind::IsADirectory)).with_context(|| writing(path));
+    }
     let folder = meant.parent().filter(|folder| !folder.as_os_str().is_empty());
     let tried = tempfile::tempfile_in(folder.unwrap_or(Path::new(".")));
-    tried.map(|_file| ()).with_context(|| format!("writing {}", path.display()))
+    tried.map(|_file| ()).with_context(|| writing(path))
 }
 
 /// Returns what a path leads to, if it is a link.
@@ -83,16 +137,20 @@ fn is_stream(path: &Path) -> bool {
     OPEN.iter().any(|open| path.starts_with(open)) || fs::metadata(path).is_ok_and(is_other)
 }
 
-/// Adds bytes to a stream; one whose reader is gone has what it wanted.
-fn pour(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let own = |stream: &mut dyn io::Write| stream.write_all(bytes).and_then(|()| stream.flush());
-    let written = match path.to_str() {
+/// Opens what takes bytes and stays.
+fn stream(path: &Path) -> io::Result<Box<dyn io::Write>> {
+    let stream: Box<dyn io::Write> = match path.to_str() {
         // Where a file is behind it, bytes that came another way would be written over by whoever writes there next.
-        Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") => own(&mut io::stdout().lock()),
-        Some("/dev/stderr" | "/dev/fd/2" | "/proc/self/fd/2") => own(&mut io::stderr().lock()),
-        _ => own(&mut File::options().append(true).open(path)?),
+        Some("/dev/stdout" | "/dev/fd/1" | "/proc/self/fd/1") => Box::new(io::stdout()),
+        Some("/dev/stderr" | "/dev/fd/2" | "/proc/self/fd/2") => Box::new(io::stderr()),
+        _ => Box::new(File::options().append(true).open(path)?),
     };
-    match written {
+    Ok(stream)
+}
+
+/// Adds bytes to a stream; one whose reader is gone has what it wanted.
+fn pour(stream: &mut dyn io::Write, bytes: &[u8]) -> io::Result<()> {
+    match stream.write_all(bytes).and_then(|()| stream.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         written => written,
     }
@@ -217,12 +275,35 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         check_file(&place.path().join("new.txt")).unwrap();
         assert_eq!(fs::read_dir(place.path()).unwrap().count(), 0);
-        let told = check_file(&place.path().join("none/new.txt")).unwrap_err().to_string();
-        assert!(told.starts_with("writing ") && told.ends_with("none/new.txt"), "{told}");
+        for path in [place.path().join("none/new.txt"), place.path().to_owned()] {
+            let told = check_file(&path).unwrap_err().to_string();
+            assert_eq!(told, format!("writing {}", path.display()));
+        }
     }
 
     #[test]
-    fn what_a_path_holds_is_no_order_to_the_terminal() {
+    fn a_file_that_grows_is_there_when_it_is_whole_and_a_pipe_has_its_pieces() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("steps.jsonl");
+        fs::write(&path, "old").unwrap();
+        let mut growing = GrowingFile::begin(&path).unwrap();
+        growing.add("one\n").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        growing.add("two\n").unwrap();
+        growing.end().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "one\ntwo\n");
+        let pipe = place.path().join("pipe");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let reader = Command::new("cat").arg(&pipe).stdout(Stdio::piped()).spawn().unwrap();
+        let mut growing = GrowingFile::begin(&pipe).unwrap();
+        growing.add("one\n").unwrap();
+        growing.add("two\n").unwrap();
+        growing.end().unwrap();
+        assert_eq!(reader.wait_with_output().unwrap().stdout, b"one\ntwo\n");
+    }
+
+    #[test]
+    fn control_characters_of_a_path_do_not_reach_the_terminal() {
         let text = "run\truns/a\u{1b}[2J\u{7}b\r\nnext\u{202e}\n";
         assert_eq!(shown(text), "run\truns/a\\u{1b}[2J\\u{7}b\\r\nnext\\u{202e}\n");
         assert_eq!(shown("a ± b\n\n\tc"), "a ± b\n\n\tc");

@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waited_at_a_checkpoint_is_rolled_back_at_the_resume() {
+    fn rollouts_waiting_at_a_checkpoint_are_rolled_back_at_the_resume() {
         let mut books = entered(3);
         books.trained = 1;
         books.unused_at_end = 2;

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn of_very_many_the_slowest_are_listed_and_the_rest_is_summed() {
+    fn the_slowest_of_very_many_actors_are_listed_and_the_rest_are_summed() {
         let told = told(300);
         let listed = told["actors"].as_array().unwrap();
         assert_eq!((listed.len(), &listed[0]["id"]), (N_SLOWEST, &json!("a299")));

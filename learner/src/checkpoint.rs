@@ -433,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_waits_for_a_pipe_and_what_is_no_checkpoint_gives_way_to_the_one_before() {
+    fn a_pipe_is_not_waited_for_and_a_damaged_checkpoint_gives_way_to_the_one_before() {
         let pipe = |path: &Path| {
             assert!(std::process::Command::new("mkfifo").arg(path).status().unwrap().success());
         };

@@ -1,8 +1,8 @@
 //! Files that are whole or not there.
 
 use std::fs::{self, File};
-use std::io::{self, Write as _};
-use std::path::Path;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
 
 /// How the name of a file ends that is being written.
 const PARTIAL: &str = ".partial";
@@ -16,16 +16,65 @@ const PARTIAL: &str = ".partial";
 ///
 /// If the directory cannot be written or the disk is full; the old content then stays.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(format!(".{}{PARTIAL}", std::process::id()));
-    let written = write(Path::new(&partial), bytes).and_then(|()| fs::rename(&partial, path));
-    if written.is_err() {
-        // A full disk needs the room.
-        drop(fs::remove_file(&partial));
+    let mut file = PartialFile::create(path)?;
+    file.write_all(bytes)?;
+    file.place()
+}
+
+/// A file that is written piece by piece and replaces another one in one step, as [`write_atomically`] does; removed if it is let
+/// go before.
+#[derive(Debug)]
+pub struct PartialFile {
+    path: PathBuf,
+    partial: PathBuf,
+    file: File,
+    is_placed: bool,
+}
+
+impl PartialFile {
+    /// Begins a file that will be at this path.
+    ///
+    /// # Errors
+    ///
+    /// If the directory cannot be written.
+    pub fn create(path: &Path) -> io::Result<Self> {
+        let mut partial = path.as_os_str().to_owned();
+        partial.push(format!(".{}{PARTIAL}", std::process::id()));
+        let file = File::create(&partial)?;
+        Ok(Self { path: path.to_owned(), partial: partial.into(), file, is_placed: false })
     }
-    written?;
-    let directory = path.parent().filter(|parent| !parent.as_os_str().is_empty());
-    File::open(directory.unwrap_or(Path::new(".")))?.sync_all()
+
+    /// Puts the file where it belongs.
+    ///
+    /// # Errors
+    ///
+    /// If it cannot be flushed to the disk or renamed; the old content then stays.
+    pub fn place(mut self) -> io::Result<()> {
+        self.file.sync_all()?;
+        fs::rename(&self.partial, &self.path)?;
+        self.is_placed = true;
+        let directory = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        File::open(directory.unwrap_or(Path::new(".")))?.sync_all()
+    }
+}
+
+impl Write for PartialFile {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.file.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.file.flush()
+    }
+}
+
+impl Drop for PartialFile {
+    fn drop(&mut self) {
+        if !self.is_placed {
+            // A full disk needs the room.
+            drop(fs::remove_file(&self.partial));
+        }
+    }
 }
 
 /// Returns which file of the same directory `name` was to replace, if [`write_atomically`] gave it that name.
@@ -45,8 +94,25 @@ pub fn replaced_name(name: &str) -> Option<&str> {
     Some(id.map_or(name, |(name, _)| name))
 }
 
-fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_that_is_not_finished_leaves_the_old_one_and_nothing_beside_it() {
+        let place = tempfile::tempdir().unwrap();
+        let path = place.path().join("steps.jsonl");
+        fs::write(&path, "old").unwrap();
+        let mut file = PartialFile::create(&path).unwrap();
+        file.write_all(b"half of the n").unwrap();
+        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 2);
+        drop(file);
+        assert_eq!(fs::read_to_string(&path).unwrap(), "old");
+        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
+        let mut file = PartialFile::create(&path).unwrap();
+        file.write_all(b"new").unwrap();
+        file.place().unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "new");
+        assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
+    }
 }

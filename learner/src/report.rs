@@ -163,7 +163,7 @@ pub enum RunEvent {
     },
     /// An actor follows an assignment that this learner did not give; it gets its environments anew.
     Astray {
-        /// The actor.
+        /// The actor that does so.
         actor: ActorId,
         /// The number of that assignment.
         told: Epoch,

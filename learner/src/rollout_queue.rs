@@ -341,7 +341,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_snapshot_that_is_given_up_the_rollout_is_dropped_or_a_fresh_episode_begins() {
+    fn a_snapshot_given_up_drops_its_rollout_or_begins_a_fresh_episode() {
         let mut queue = queue(Schedule::Lag(2), 1, &[(0, 0), (0, 1)]);
         let [a, b] = ["a", "b"].map(|name| ActorId::new(name).unwrap());
         assert_eq!(queue.doubt(EnvId(0), &a).len(), 1);

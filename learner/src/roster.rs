@@ -302,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn of_the_members_those_are_counted_that_answer() {
+    fn only_members_that_answer_are_counted() {
         let mut roster = Roster::default();
         greet(&mut roster, 1);
         assert!(!roster.answer(&key(1)), "no member yet");
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn of_two_starts_the_first_stays_until_it_is_gone() {
+    fn the_first_of_two_starts_stays_until_it_is_gone() {
         let mut roster = Roster::default();
         for start in [1, 2] {
             greet(&mut roster, start);

@@ -102,6 +102,7 @@ pub async fn run(
     if reached.is_some() || point.start.version.0 >= settings.n_updates() {
         return ending::already_trained(&config, point, sink.as_mut(), evaluations, &stop).await;
     }
+    // An actor may have a whole window on its way: with fewer places the link would refuse what credit allowed.
     let mut listen = config.listen.clone();
     listen.rollouts_per_actor = listen.rollouts_per_actor.max(config.window as usize);
     let (mut link, events) =
@@ -112,6 +113,7 @@ pub async fn run(
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
     let mut run = RunLoop::new(config, store, sink, point, link, evaluations)?;
     let result = run.live(&events, &stop).await;
+    // A learner that fails dismisses its actors as well: they would look for it until their time-out.
     if let Err(error) = &result {
         run.coordinator.stop_everyone(&format!("the learner ended: {error}"));
         run.act();
@@ -164,6 +166,7 @@ impl RunLoop {
         let ResumePoint { trainer, start, offered, record, .. } = point;
         let version = trainer.version();
         let mut phases = PhaseClock::start();
+        // Of a run that goes on: in a schedule with a lag, rollouts are due that older versions have to make.
         for (version, weights) in offered {
             let offer = Timed::measure(|| link.offer_weights(version, weights));
             phases.offered(sink.as_mut(), config.start.incarnation().0, version, &offer);
@@ -205,6 +208,7 @@ impl RunLoop {
         events: &flume::Receiver<LearnerEvent>,
         stop: &CancellationToken,
     ) -> Result<RunReport, Error> {
+        // After a stall one tick is due: lateness is counted in ticks, and nobody was heard while the loop stood still.
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
@@ -246,6 +250,7 @@ impl RunLoop {
     ) -> Result<LearnerWake, Error> {
         Ok(tokio::select! {
             biased;
+            // In this order, and the network last: strangers can flood it, and everything else would wait.
             () = stop.cancelled() => LearnerWake::Stop,
             updated = self.training.updated(), if self.is_training => {
                 LearnerWake::Trained(Box::new(updated))
@@ -265,6 +270,7 @@ impl RunLoop {
     ) -> Result<(), Error> {
         match wake {
             LearnerWake::Network(event) => {
+                // Several at a time: what follows every wake-up costs more than an event.
                 self.network(event);
                 for event in events.try_iter().take(EVENTS_AT_ONCE) {
                     self.network(event);
@@ -408,7 +414,9 @@ impl RunLoop {
         let started = Instant::now();
         self.version = updated.version;
         self.coordinator.trained(updated.version);
+        // Before everything that takes time: actors wait for it.
         self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
+        // After the offer: there is always a version to pull.
         self.link.retire_weights(self.oldest_needed());
         let (learner, offer) = (self.config.start.incarnation().0, Timed::since(started, ()));
         self.phases.offered(self.sink.as_mut(), learner, updated.version, &offer);
@@ -419,6 +427,7 @@ impl RunLoop {
         }
         self.queue_evaluation(&updated.weights);
         self.report_progress(&updated);
+        // Together with the record above: a checkpoint holds both, and they must be of the same update.
         self.state = updated.state;
         let (since, n_then) = self.last_checkpoint;
         let interval = self.config.checkpoint_interval;
@@ -475,6 +484,7 @@ impl RunLoop {
         for effect in self.coordinator.take_effects() {
             match effect {
                 Effect::Event(event) => {
+                    // At the door, not only in the coordinator: what is not accepted any more must take no place in the queue.
                     if let RunEvent::CutOff { actor, incarnation, .. } = &event {
                         self.link.cut_off(actor, *incarnation);
                     }
@@ -528,11 +538,13 @@ impl RunLoop {
             builds: self.coordinator.builds().clone(),
         };
         let (store, n_updates) = (&mut self.store, self.version.0);
+        // Other tasks go on with other threads meanwhile: those that answer pulls and deliver orders.
         let write = || tokio::task::block_in_place(|| store.write(n_updates, &checkpoint));
         let written = Timed::measure(write);
         self.phases.checkpointed(self.sink.as_mut(), self.version, &written);
         let path = written.value?;
         self.last_checkpoint = (Instant::now(), n_updates);
+        // After the checkpoint: no policy file is newer than what a resume goes on from.
         let last = self.last();
         let best = ending::best(&self.record, self.evaluations.as_ref(), &last);
         self.sink.on_policies(&last, best);
@@ -587,6 +599,7 @@ impl RunLoop {
     async fn save_end(&mut self, stop: &CancellationToken) -> Result<(), Error> {
         let (kept, pause) = KEPT;
         let deadline = Instant::now() + kept;
+        // Who asked the run to end did not ask for this to be given up; who asks now does.
         let was_stopped = stop.is_cancelled();
         let mut is_told = false;
         loop {
@@ -624,8 +637,10 @@ impl RunLoop {
         self.coordinator.stop_everyone(reason);
         self.act();
         self.farewell(events).await?;
+        // After the farewell: until then the update under way may still end, and its rollouts are trained on.
         self.coordinator.close();
         self.save_end(stop).await?;
+        // The evaluations come after what was trained is safe: they may take long, and may be cut short.
         let health = self.health();
         if let (RunEnd::Finished, Some(evaluations), Some(_)) =
             (end, &mut self.evaluations, self.record.held_out.next())
@@ -643,6 +658,7 @@ impl RunLoop {
 
     /// Goes on listening until the actors have left and the update under way is done, or time is up.
     async fn farewell(&mut self, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
+        // The run's own token may be cancelled already, and would wake this loop without end.
         let never = CancellationToken::new();
         let mut ticks = interval(TICK);
         let deadline = tokio::time::Instant::now() + FAREWELL;

@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_alone_or_late_with_all_the_others_or_in_turns_keeps_its_environments() {
+    fn an_actor_alone_or_late_with_all_others_or_in_turns_keeps_its_environments() {
         for held in [&[("a", 8)][..], &[("a", 4), ("b", 4)]] {
             let mut s = stragglers(held);
             assert_eq!(ticks(&mut s, 1_000, |_, _| counts(held)), None);
@@ -344,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn in_async_only_who_delivers_nothing_at_all_is_behind() {
+    fn only_an_actor_that_delivers_nothing_is_behind_in_async() {
         let mut s = Stragglers::new(8, false);
         s.assigned(&counts(&[("a", 4), ("mute", 4)]));
         s.updating();

@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_longer_than_it_may_be_is_refused() {
+    fn a_message_longer_than_its_limit_is_refused() {
         let mut bytes = encode(&rollout()).unwrap();
         assert!(matches!(decode::<Rollout>(&bytes, 8), Err(CodecError::TooLarge { .. })));
         bytes.push(0);

@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_equal_and_has_other_bits_travels() {
+    fn equal_numbers_with_other_bits_travel() {
         let mut sent = vec![1.0, 0.0, -0.0, 3.0];
         let repeats = RowRepeats::take_out(&mut sent, 2, RowOverlap::new(1, 1));
         assert_eq!((sent.len(), repeats), (4, RowRepeats::default()));

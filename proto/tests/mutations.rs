@@ -198,7 +198,7 @@ fn receive_spoilt<T: Serialize + DeserializeOwned>(
 }
 
 #[test]
-fn what_is_left_out_on_the_way_is_there_after_the_check() {
+fn repeats_left_out_on_the_way_are_there_after_the_check() {
     let frames = (0..70_u8).flat_map(|t| [f32::from(t), f32::from(t) + 1.0]);
     let whole = Rollout { observations: frames.collect(), ..whole_rollout(70, vec![1]) };
     let mut sent = whole.clone();

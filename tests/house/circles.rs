@@ -266,7 +266,7 @@ fn imports_are_read_through_braces_parents_and_re_exports() {
 }
 
 #[test]
-fn a_circle_is_found_however_long_and_a_family_is_none() {
+fn a_circle_of_any_length_is_found_and_a_family_is_not_one() {
     let circles = |texts: &[(&str, &str)]| circles_among(&arrows(&files(texts)));
     let two = [("a", "use crate::b::X;"), ("b", "use crate::a::Y;")];
     assert_eq!(circles(&two), [["a", "b"]]);

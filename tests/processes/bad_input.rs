@@ -187,7 +187,7 @@ fn counts_of_episodes_have_a_range() {
 }
 
 #[test]
-fn a_place_that_is_no_run_directory_is_named() {
+fn a_place_that_is_not_a_run_directory_is_named() {
     let place = Place::new();
     place.write("runs", "a file where the directory should be");
     let args = learner_at(&place.endpoint("learner"));
@@ -316,7 +316,7 @@ fn damaged_checkpoints_give_way_to_older_ones_or_stop_the_run() {
 }
 
 #[test]
-fn a_policy_or_trace_file_that_is_none_is_refused() {
+fn a_file_that_is_not_a_policy_or_not_a_trace_is_refused() {
     let place = Place::new();
     let file = place.write("policy.safetensors", "not a policy");
     let pointer = place.write("lfs.safetensors", "version https://git-lfs.github.com/spec/v1\n");
@@ -338,7 +338,7 @@ fn a_policy_or_trace_file_that_is_none_is_refused() {
 }
 
 #[test]
-fn what_a_run_keeps_is_no_place_for_anything_else() {
+fn nothing_else_is_written_over_the_files_of_a_run() {
     let place = Place::new();
     for folder in ["checkpoints", "tensorboard"] {
         fs::create_dir_all(place.run("r").join(folder)).unwrap();
@@ -372,6 +372,19 @@ fn a_full_disk_costs_no_results() {
     let evaluated = evaluated.with_code(WRONG_INPUT);
     assert!(!evaluated.stdout.is_empty(), "the results are printed first");
     evaluated.saying(&["writing /dev/full"]);
+    // A file for which there is no room stays as it was.
+    let steps = place.write("steps.jsonl", "old\n");
+    let mut limited = place.program_at(Path::new("sh"), &[]);
+    limited.args(["-c", "trap '' XFSZ; ulimit -f 32; exec \"$@\"", "sh"]);
+    limited.args([env!("CARGO_BIN_EXE_leadtime"), "eval", "r", "--episodes", "200"]);
+    limited.args(["--episodes-to", &steps]);
+    let evaluated = place.start_with(limited).finish(PATIENCE).with_code(WRONG_INPUT);
+    assert!(!evaluated.stdout.is_empty(), "the results are printed first");
+    evaluated.saying(&["writing ", "steps.jsonl"]);
+    assert_eq!(fs::read_to_string(&steps).unwrap(), "old\n");
+    let files = fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name());
+    let partial = files.filter(|name| name.to_string_lossy().contains("partial"));
+    assert_eq!(partial.count(), 0, "it is removed");
 }
 
 #[test]
@@ -387,7 +400,19 @@ fn a_pipe_that_is_given_for_a_file_is_refused_and_not_waited_for() {
 }
 
 #[test]
-fn a_path_is_no_order_to_the_terminal() {
+fn a_pipe_in_the_place_of_a_runs_page_keeps_nobody_waiting() {
+    let place = Place::new();
+    let up = ["up --name r --actors 1 --stop-after 1", SMALL];
+    place.finish(&up).with_code(0);
+    let page = place.run("r").join("report.html");
+    fs::remove_file(&page).unwrap();
+    assert!(Command::new("mkfifo").arg(&page).status().unwrap().success());
+    refused(&place, &["report r --episodes 2"], &["report.html is not a file: move it away"]);
+    place.finish(&up).with_code(0).saying(&["report.html cannot be written", "is not a file"]);
+}
+
+#[test]
+fn control_characters_of_an_argument_do_not_reach_the_terminal() {
     let place = Place::new();
     let directory = |name: &str| place.path().join(format!("{name}\u{1b}[2J"));
     let said = |args: &[&str], path: &Path| {
@@ -416,7 +441,7 @@ fn a_path_is_no_order_to_the_terminal() {
 }
 
 #[test]
-fn a_run_in_a_directory_that_is_no_text_can_be_taken_up_as_it_is_told() {
+fn a_run_in_a_directory_whose_name_is_not_text_can_be_resumed_as_told() {
     let place = Place::new();
     let mut up = place.program(&["up --name r --actors 1", SMALL, "--stop-after 4 --runs"]);
     up.arg(OsStr::from_bytes(b"runs\xff"));

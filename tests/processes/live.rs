@@ -1,5 +1,6 @@
 //! A notifier at work, through the program: who is let in, what is said, and that nothing stale ever is.
 
+use std::fs;
 use std::time::{Duration, Instant};
 
 use leadtime_link::Error as LinkError;
@@ -96,13 +97,30 @@ impl Client {
     /// Takes what is told until a status says something.
     #[track_caller]
     fn listen_for(&mut self, key: &str, words: &str) {
+        let says = |status: &Value| status[key].as_str().is_some_and(|text| text.contains(words));
+        let is_told = |client: &Self| client.statuses.iter().any(says);
+        self.act_until(words, is_told, |client| client.listen(Duration::from_millis(20)));
+    }
+
+    /// Does something again and again until something holds.
+    #[track_caller]
+    fn act_until(
+        &mut self,
+        what: &str,
+        holds: impl Fn(&Self) -> bool,
+        mut act: impl FnMut(&mut Self),
+    ) {
         let deadline = Instant::now() + PATIENCE;
-        let holds = |status: &Value| status[key].as_str().is_some_and(|text| text.contains(words));
-        while !self.statuses.iter().any(holds) {
+        while !holds(self) {
             let last = self.statuses.last();
-            assert!(Instant::now() < deadline, "no `{words}`; the last: {last:?}");
-            self.listen(Duration::from_millis(20));
+            assert!(Instant::now() < deadline, "in vain: {what}; the last status: {last:?}");
+            act(self);
         }
+    }
+
+    /// Returns whether the last status has this state.
+    fn is(&self, state: &str) -> bool {
+        self.statuses.last().is_some_and(|status| status["state"] == state)
     }
 
     /// Asserts of every word that was said that it was said on what was fresh, or went on because it was understood.
@@ -191,7 +209,7 @@ fn a_world_that_goes_by_the_clock_is_kept_up_with() {
 }
 
 #[test]
-fn who_is_not_let_in_is_told_why() {
+fn a_client_that_is_not_let_in_is_told_why() {
     let place = Place::new();
     let notifier = serve(&place, "--max-sessions 2");
     let first = Client::connect(&place, "car-1", 1);
@@ -229,7 +247,7 @@ fn who_is_not_let_in_is_told_why() {
 }
 
 #[test]
-fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
+fn an_unusable_observation_is_answered_with_one_sentence_and_sixteen_in_a_row_end_the_session() {
     let place = Place::new();
     let _notifier = serve(&place, "");
     let mut client = Client::connect(&place, "car-1", 1);
@@ -254,39 +272,34 @@ fn what_cannot_be_used_is_one_sentence_and_sixteen_in_a_row_end_the_session() {
     client.listen_for("told", "came twice, with other content");
     let last = client.statuses.last().unwrap();
     assert_eq!((&last["out_of_order"], &last["missed"]), (&json!(1), &json!(12)), "{last}");
-    let deadline = Instant::now() + PATIENCE;
-    while client.statuses.last().unwrap()["state"] != "closed" {
-        assert!(Instant::now() < deadline);
+    let say_noise = |client: &mut Client| {
         client.port.observe(b"noise").unwrap();
         client.listen(Duration::from_millis(2));
-    }
+    };
+    client.act_until("it is closed", |client| client.is("closed"), say_noise);
     let why = client.statuses.last().unwrap()["why"].as_str().unwrap().to_owned();
     assert!(why.contains("messages in a row could not be used; open a new session"), "{why}");
     client.open(&json!({"seed": 2})).unwrap();
 }
 
 #[test]
-fn what_is_too_long_is_told() {
+fn a_message_that_is_too_long_is_reported() {
     let place = Place::new();
     let _notifier = serve(&place, "");
     let mut client = Client::connect(&place, "car-1", 1);
     client.open(&json!({})).unwrap();
     let long = vec![b' '; 70_000];
-    let is_told = |status: &Value| {
-        status["told"]
-            .as_str()
-            .is_some_and(|told| told.contains("70000 bytes, with what is beside"))
-    };
-    let deadline = Instant::now() + PATIENCE;
-    while !client.statuses.iter().any(is_told) {
-        assert!(Instant::now() < deadline, "{:?}", client.statuses.last());
+    let told = "70000 bytes, with what is beside";
+    let says = |status: &Value| status["told"].as_str().is_some_and(|text| text.contains(told));
+    let send = |client: &mut Client| {
         client.port.observe(&long).unwrap();
         client.listen(Duration::from_millis(100));
-    }
+    };
+    client.act_until(told, |client| client.statuses.iter().any(says), send);
 }
 
 #[test]
-fn who_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_back() {
+fn a_client_that_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_back() {
     let place = Place::new();
     let _notifier = serve(&place, "--state state");
     let mut client = Client::connect(&place, "car-1", 1);
@@ -302,12 +315,11 @@ fn who_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_b
     head.t = 9e8;
     client.port.observe(&write_json(&head, &values)).unwrap();
     client.listen(Duration::from_millis(2_500));
-    let deadline = Instant::now() + PATIENCE;
-    while client.statuses.last().is_none_or(|status| status["state"] != "closed") {
-        assert!(Instant::now() < deadline, "{:?}", client.statuses.last());
+    let observe = |client: &mut Client| {
         client.observe();
         client.listen(Duration::from_millis(2));
-    }
+    };
+    client.act_until("it is closed", |client| client.is("closed"), observe);
     let mut fresh = Value::Null;
     wait_until("it is over", PATIENCE, || {
         fresh = client.open(&json!({})).unwrap();
@@ -317,15 +329,36 @@ fn who_asks_again_is_told_where_to_count_on_and_a_closed_session_does_not_come_b
     // It counts anew and is spoken to, with a landing from its beginning.
     client.seq = 0;
     client.statuses.clear();
-    let deadline = Instant::now() + PATIENCE;
-    while client.statuses.iter().all(|status| status["state"] != "speaking") {
-        assert!(Instant::now() < deadline, "{:?}", client.statuses.last());
-        client.watch(Duration::from_millis(100));
-    }
+    let speaks = |client: &Client| client.statuses.iter().any(|told| told["state"] == "speaking");
+    client.act_until("it is spoken to", speaks, |client| client.watch(Duration::from_millis(100)));
 }
 
 #[test]
-fn who_has_to_give_up_its_place_is_told() {
+fn the_kept_state_of_a_session_that_was_changed_is_reported_and_a_new_session_begins() {
+    let place = Place::new();
+    let notifier = serve(&place, "--state state");
+    let mut client = Client::connect(&place, "car-1", 1);
+    let session = client.open(&json!({})).unwrap()["session"].clone();
+    let file = place.path().join("state/car-1.session");
+    let watch = |client: &mut Client| client.watch(Duration::from_millis(20));
+    client.act_until("the state is kept", |_client| file.exists(), watch);
+    notifier.kill();
+    drop(client.link);
+    let mut bytes = fs::read(&file).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(&file, bytes).unwrap();
+    let notifier = serve(&place, "--state state");
+    let client = Client::connect(&place, "car-1", 1);
+    let fresh = client.open(&json!({})).unwrap();
+    assert_ne!(fresh["session"], session);
+    assert_eq!(fresh["last_seq"], 0, "{fresh}");
+    wait_for_words(&notifier, "its checksum is wrong");
+    assert!(notifier.stderr().contains("the client gets a new one"), "{}", notifier.stderr());
+}
+
+#[test]
+fn a_client_that_has_to_give_up_its_place_is_told() {
     let place = Place::new();
     let _notifier = serve(&place, "--max-sessions 1");
     // Its presence is that of another start: nobody knows that it is there.
@@ -345,11 +378,8 @@ fn a_session_that_another_question_replaces_is_cut() {
     let question =
         |seed: u32| json!({"seconds_per_step": 0.5, "word_clock": "steps", "seed": seed});
     client.open(&question(5)).unwrap();
-    let deadline = Instant::now() + PATIENCE;
-    while client.started() == 0 {
-        assert!(Instant::now() < deadline, "nothing is said");
-        client.watch(Duration::from_millis(20));
-    }
+    let watch = |client: &mut Client| client.watch(Duration::from_millis(20));
+    client.act_until("something is said", |client| client.started() > 0, watch);
     client.open(&question(6)).unwrap();
     client.listen(Duration::from_secs(1));
     assert_eq!(client.says.last().map(|(_, say)| say.event), Some(SayEvent::Cut));

@@ -46,7 +46,7 @@ fn a_run_goes_on_with_another_learning_rate_and_says_so() {
 }
 
 #[test]
-fn what_cannot_change_is_refused_before_anything_is_made() {
+fn a_setting_that_cannot_change_is_refused_before_anything_is_made() {
     let place = Place::new();
     let to = |change: &str| place.finish(&[TRAIN, "--change", change]).with_code(2);
     to("learner.n_envs=4").saying(&["learner.n_envs", "cannot change", "entropy_coef", "--fork"]);

@@ -35,7 +35,7 @@ fn a_probe_is_reproducible_and_says_where_its_numbers_are_from() {
 }
 
 #[test]
-fn where_there_is_nothing_to_be_known_a_sentence_says_so() {
+fn a_probe_with_nothing_to_find_says_so_in_a_sentence() {
     let place = Place::new();
     trained(&place, "lander");
     let refuse = |args: &str, text: &str| {

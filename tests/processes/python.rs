@@ -209,7 +209,7 @@ fn an_environment_that_never_works_is_wrong_input_and_its_actor_is_not_started_a
 }
 
 #[test]
-fn nobody_executes_what_somebody_else_wrote() {
+fn a_foreign_configuration_executes_nothing() {
     let place = Place::new();
     let flag = place.file("executed");
     let text = format!(

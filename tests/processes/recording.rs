@@ -105,7 +105,7 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
 }
 
 #[test]
-fn what_was_said_by_the_clock_is_replayed_exactly_and_who_comes_late_is_told_so() {
+fn sentences_said_by_the_clock_are_replayed_exactly_and_a_late_recorder_is_told() {
     let place = Place::new();
     let notifier = serve(&place, "");
     let to = place.endpoint("n");

@@ -11,8 +11,8 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 use crate::support::{
-    Finished, PATIENCE, Place, Running, journal, outcome, record, result, signal, updates,
-    wait_for_updates, wait_for_words, wait_until,
+    Finished, PATIENCE, Place, Running, checkpoints, journal, outcome, record, result, signal,
+    updates, wait_for_updates, wait_for_words, wait_until,
 };
 use serde_json::Value;
 
@@ -350,6 +350,24 @@ fn training_twice_as_long_through_a_resume_equals_training_straight() {
     finish(learner(&place, ""), [actor(&place, "b")]).saying(&["resumed"]);
     // The half was evaluated at other updates.
     assert_eq!(Some(weights(&place).as_str()), undisturbed().lines().next());
+}
+
+#[test]
+fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
+    let place = Place::new();
+    // A thousand passes take longer than the end of a run waits for an update, and no checkpoint is due before the end.
+    let passes =
+        "--set learner.n_steps=1024 --set learner.n_epochs=1000 --set learner.learning_rate=1e-6";
+    let rare = "--set run.checkpoint_every=1000 --set run.checkpoint_seconds=3600";
+    let first = learner(&place, &format!("{LONG} {passes} {rare}"));
+    let helper = actor(&place, "a");
+    wait_for_updates(&place.run("r"), 1);
+    signal("TERM", first.id());
+    first.finish(10 * SECOND).with_code(130);
+    helper.finish(PATIENCE);
+    let newest = checkpoints(&place.run("r")).pop().expect("the end writes a checkpoint");
+    let expected = format!("{:012}.checkpoint", updates(&place.run("r")));
+    assert!(newest.ends_with(&expected), "{newest:?}, not {expected}");
 }
 
 #[test]

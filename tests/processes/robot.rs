@@ -12,7 +12,7 @@ use tokio::runtime::Runtime;
 use crate::notifier::{self, coming_down, link, policy};
 use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words};
 
-/// Between two observations.
+/// Time between two observations.
 const PAUSE: Duration = Duration::from_millis(20);
 const STATUS: &str = "leadtime/live/1/notifier/arm-1/status";
 

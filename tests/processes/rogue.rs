@@ -65,7 +65,7 @@ impl Rogue {
         rogue
     }
 
-    /// Handles one event; returns the reason if the learner sent us away.
+    /// Handles one event; returns the reason if the learner dismissed this actor.
     async fn hear(&mut self) -> Option<(String, bool)> {
         let event = tokio::time::timeout(SOON, self.events.recv()).await;
         if let ActorEvent::Control { control, reply, .. } = event.expect("in time").expect("open") {
@@ -237,7 +237,7 @@ async fn actor_start(endpoint: &str, run: &RunName) -> Incarnation {
 
 /// The learner's own start cannot be played: a forger has one of its own, which nobody here knows.
 #[tokio::test(flavor = "multi_thread")]
-async fn who_plays_the_learner_neither_orders_its_actor_about_nor_forges_weights() {
+async fn an_impostor_of_the_learner_neither_orders_its_actor_about_nor_forges_weights() {
     let undisturbed = undisturbed();
     let place = Place::new();
     let (run, endpoint) = (RunName::new("r").unwrap(), place.endpoint("learner"));

@@ -13,7 +13,7 @@ const FULL: &str = "/dev/full";
 const SHORT: &str = "-c cartpole --set learner.n_steps=32 --set learner.total_steps=512";
 
 #[test]
-fn results_that_cannot_be_written_are_wrong_input_and_a_closed_pipe_is_none() {
+fn results_that_cannot_be_written_are_wrong_input_and_a_closed_pipe_is_not() {
     let place = Place::new();
     for args in [
         "config lander",

@@ -240,7 +240,7 @@ fn an_untrained_policy_plays_and_so_does_one_that_follows_an_unreadable_one() {
 }
 
 #[test]
-fn what_cannot_be_watched_is_one_sentence() {
+fn a_run_that_cannot_be_watched_is_reported_in_one_sentence() {
     let place = Place::new();
     let _processes = at_work(&place, "r");
     look(&place, 1);

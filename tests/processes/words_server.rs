@@ -1,4 +1,4 @@
-//! Words from a language model behind HTTP, through the program: killed in the middle and taken up again, given up when
+//! Words from a language model behind HTTP, through the program: killed in the middle and resumed, given up when
 //! the model talks nonsense. The model is a server of the test's own that answers by a grammar.
 
 use std::collections::BTreeSet;

@@ -166,7 +166,7 @@ fn a_wait_is_named_after_what_is_missing() {
 }
 
 #[test]
-fn what_cannot_be_restored_is_reported_and_the_rest_goes_on() {
+fn an_environment_that_cannot_be_restored_is_reported_and_the_rest_go_on() {
     let mut bench = Bench::with_weights(0..=0);
     bench.assign(1, 7, &[0, 1]);
     assert!(bench.assign(2, 7, &[0, 1]).is_empty(), "given again while it is restored");
@@ -181,7 +181,7 @@ fn what_cannot_be_restored_is_reported_and_the_rest_goes_on() {
 }
 
 #[test]
-fn who_gets_no_credit_asks_again_but_less_and_less_often() {
+fn an_actor_without_credit_asks_again_less_and_less_often() {
     let mut bench = Bench::new(5..=5);
     bench.follow(1, 1, 5);
     let mut hellos = Vec::new();
@@ -252,7 +252,7 @@ fn a_hello_that_fails_is_said_again_until_time_is_over() {
 }
 
 #[test]
-fn who_is_refused_dismissed_or_cut_off_leaves() {
+fn an_actor_that_is_refused_dismissed_or_cut_off_leaves() {
     let taken = leadtime_link::Error::Taken(ActorId::new("a").unwrap());
     let mut bench = Bench::new(0..=0);
     bench.give(ActorInput::LearnerLeft(LEARNER));
@@ -286,7 +286,7 @@ fn a_run_that_cannot_be_is_not_joined() {
 }
 
 #[test]
-fn what_waits_is_handed_over_together_and_the_rest_when_that_is_sent() {
+fn waiting_rollouts_are_handed_over_together_and_the_rest_once_those_are_sent() {
     let mut bench = Bench::with_weights(0..=0);
     let sizes = |outputs: Vec<ToDo>| {
         let size = |output: &ToDo| match output {
@@ -304,7 +304,7 @@ fn what_waits_is_handed_over_together_and_the_rest_when_that_is_sent() {
 }
 
 #[test]
-fn who_is_about_to_leave_finishes_and_sends_its_rollout_and_begins_none() {
+fn a_leaving_actor_finishes_and_sends_its_rollout_and_begins_no_other() {
     let mut bench = Bench::with_weights(0..=0);
     assert_eq!(names(&bench.follow(1, 1, 0)), ["collect"]);
     bench.actor.begin_leaving();
@@ -321,7 +321,7 @@ fn who_is_about_to_leave_finishes_and_sends_its_rollout_and_begins_none() {
 }
 
 #[test]
-fn of_what_was_heard_of_presence_during_a_hello_only_the_newest_counts() {
+fn only_the_newest_presence_heard_during_a_hello_counts() {
     let (left, joined) = (ActorInput::LearnerLeft(LEARNER), ActorInput::LearnerJoined(LEARNER));
     let mut bench = Bench::new(0..=0);
     assert_eq!(names(&bench.give(left)), ["hello"]);

@@ -107,7 +107,7 @@ impl Identity {
 pub(crate) struct Signers(Arc<dyn ClientCertVerifier>);
 
 impl Signers {
-    /// Reads them.
+    /// Reads the authorities' certificates from a PEM file.
     pub(crate) fn read(path: &Path) -> Result<Self> {
         let (roots, provider) = (roots(path)?.into(), ring::default_provider().into());
         let verifier = WebPkiClientVerifier::builder_with_provider(roots, provider).build();

@@ -95,7 +95,7 @@ fn a_fleet_of_certificates_has_a_number_each_and_is_listed() {
 }
 
 #[test]
-fn what_lies_beside_the_certificates_is_neither_listed_nor_renewed() {
+fn other_files_beside_the_certificates_are_neither_listed_nor_renewed() {
     let (dir, other) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let at = |name: &str| dir.path().join(name);
     let mut ours = authority(dir.path());
@@ -174,7 +174,7 @@ fn several_are_issued_together_or_not_at_all() {
 }
 
 #[test]
-fn what_is_there_is_not_overwritten() {
+fn files_that_exist_are_not_overwritten() {
     let dir = tempfile::tempdir().unwrap();
     let mut first = authority(dir.path());
     issue(&mut first, Role::Learner, "l1");
@@ -224,7 +224,7 @@ fn a_key_that_a_kill_left_alone_is_named_and_an_empty_one_is_replaced() {
 }
 
 #[test]
-fn what_ends_soon_is_made_anew_with_its_key() {
+fn a_certificate_that_ends_soon_is_renewed_with_its_key() {
     let dir = tempfile::tempdir().unwrap();
     let mut authority = authority(dir.path());
     let old = issue(&mut authority, Role::Actor, "a7");
@@ -257,7 +257,7 @@ fn a_certificate_never_outlives_its_authority() {
 }
 
 #[test]
-fn what_peers_would_refuse_is_refused_before() {
+fn a_certificate_that_peers_would_refuse_is_refused_here_first() {
     let dir = tempfile::tempdir().unwrap();
     let mut authority = authority(dir.path());
     for name in ["a1", "a2"] {
@@ -336,7 +336,7 @@ fn a_damaged_file_of_an_authority_is_named_with_what_helps() {
 }
 
 #[test]
-fn nobody_waits_for_a_pipe_in_the_place_of_a_certificate() {
+fn a_pipe_in_the_place_of_a_certificate_blocks_nobody() {
     let dir = tempfile::tempdir().unwrap();
     drop(authority(dir.path()));
     let pipe = dir.path().join("a1.pem");

@@ -86,7 +86,7 @@ impl Catalog {
         self.defaults.insert(domain.to_owned(), CodeDefaults { base, text });
     }
 
-    /// Lists the names.
+    /// Lists the names of the configurations.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.texts.keys().map(String::as_str)
     }

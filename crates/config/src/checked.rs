@@ -28,7 +28,7 @@ use crate::written::{EncoderKind, EvaluationSection, PolicySection, RunSection, 
 
 /// The most episodes that one policy is evaluated over.
 pub const MAX_EPISODES: u32 = 1_000_000;
-/// The widest layer.
+/// The widest layer that a policy may have.
 const MAX_WIDTH: usize = 4_096;
 /// Beyond it a choice is made never or always, and no training changes that.
 const MAX_BIAS: f64 = 50.0;
@@ -100,9 +100,9 @@ pub struct Config {
     pub env: EnvSpec,
     /// What the task's numbers and choices mean.
     pub description: Description,
-    /// The networks.
+    /// The networks that are trained.
     pub policy: PolicySpec,
-    /// The algorithm.
+    /// How they are trained.
     pub learner: LearnerSettings,
     /// The most rollouts that one actor may have unacknowledged.
     pub window: u32,

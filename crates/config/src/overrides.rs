@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_deep_or_long_is_refused_in_one_line() {
+    fn an_override_that_is_too_deep_or_too_long_is_refused_in_one_line() {
         let error = Override::parse(&format!("{}=1", vec!["a"; 60_000].join("."))).unwrap_err();
         assert_eq!(error, "the key has 60000 parts; allowed: at most 16");
         let deep = format!("a={}{}", "[".repeat(40), "]".repeat(40));

@@ -26,7 +26,7 @@ pub(crate) const SECTIONS: [&str; 3] = ["world", "human", "notifier"];
 /// A task as configured.
 #[derive(Debug)]
 pub(crate) struct Task {
-    /// Its sections, complete.
+    /// Its sections, with every key that has a default.
     pub(crate) table: Table,
     /// The same as actors get them.
     pub(crate) spec: TaskSpec,

@@ -333,7 +333,7 @@ fn an_untrained_notifier_is_quiet_and_brief_as_asked() {
 }
 
 #[test]
-fn what_is_wrong_is_reported_by_line_or_option_with_what_is_allowed() {
+fn a_wrong_value_is_reported_by_line_or_option_with_what_is_allowed() {
     let text = refused("domain = \"cartpole\"\n\n[learner]\nn_env = 8", &[], &[]);
     let expected = "configuration my.toml: TOML parse error at line 4, column 1\n  |\n4 | n_env = 8\n  | ^^^^^\n\
                     unknown field `n_env`; did you mean `n_envs`?";

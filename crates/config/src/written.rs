@@ -60,7 +60,9 @@ pub(crate) struct PolicySection {
     pub(crate) length_bias: f64,
 }
 
-/// What stands between observation and tanh layers, without its widths.
+/// What stands between observation and tanh layers, without its widths: those are keys of their own, so that a layer can change
+/// one of them and `none` needs none. An [`Encoder`](leadtime_proto::Encoder) also has the shape of the environment's entities,
+/// which nobody writes; `checked.rs` puts it together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum EncoderKind {

@@ -62,7 +62,7 @@ impl RecordedFrame {
 /// Errors of one observation component.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct ComponentError {
-    /// The component.
+    /// What the component is called.
     pub name: &'static str,
     /// The largest error of all compared frames.
     pub maximum: f64,

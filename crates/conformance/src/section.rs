@@ -7,7 +7,7 @@ pub struct Section {
     pub title: String,
     /// Titles of the columns.
     pub head: Vec<&'static str>,
-    /// The rows.
+    /// The cells, row by row.
     pub rows: Vec<Vec<String>>,
     /// What the rows have no room for.
     pub notes: Vec<String>,

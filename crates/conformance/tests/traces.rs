@@ -70,7 +70,7 @@ fn another_start_action_or_gap_of_the_traffic_does_not_pass() {
 }
 
 #[test]
-fn what_is_no_trace_of_traffic_says_so() {
+fn a_file_that_is_not_a_trace_of_traffic_is_refused() {
     assert!(matches!(highway::replay("{}"), Err(ReplayError::Format { .. })));
     let empty = r#"{"meta": {"highway_env": "0", "dt": 0.1}}"#;
     assert!(matches!(highway::replay(empty), Err(ReplayError::Empty { .. })));
@@ -109,7 +109,7 @@ fn another_action_or_seed_of_the_lander_does_not_pass() {
 }
 
 #[test]
-fn what_is_no_trace_of_the_lander_says_so() {
+fn a_file_that_is_not_a_trace_of_the_lander_is_refused() {
     let refused = |text: &str| lander::replay(text, Physics::default()).unwrap_err();
     assert!(matches!(refused("{}"), ReplayError::Format { .. }));
     let empty = r#"{"source": "nobody", "episodes": []}"#;
@@ -165,7 +165,7 @@ fn a_changed_recording_does_not_pass() {
 }
 
 #[test]
-fn what_is_no_recording_says_so() {
+fn a_file_that_is_not_a_recording_is_refused() {
     assert!(matches!(steakhouse::replay("[]"), Err(ReplayError::Format { .. })));
     assert!(matches!(steakhouse::replay("{}"), Err(ReplayError::Empty { .. })));
     let impossible = |text: &str, from: &str, to: &str| {

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn of_each_name_the_start_that_came_last_is_in_until_it_is_gone() {
+    fn the_latest_start_of_each_name_is_admitted_until_it_is_gone() {
         let (learner, admitted) = (StartKey::numbered(1), Admitted::default());
         let actor = ActorId::new("a").unwrap();
         let [first, second] =

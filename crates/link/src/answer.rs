@@ -115,7 +115,7 @@ pub struct Responder<T> {
     schema: Schema,
     /// Shared with who asks.
     key: Arc<PeerKey>,
-    /// The question's.
+    /// The number of the question, which the answer repeats.
     number: Sequence,
     answer: PhantomData<fn(T)>,
 }

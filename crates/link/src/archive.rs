@@ -31,7 +31,7 @@ pub type HistoryMaker = dyn Fn(u64, usize) -> Result<Vec<u8>, String> + Send + S
 pub struct Archive {
     /// What the run is, as JSON.
     pub about: Vec<u8>,
-    /// Makes its history.
+    /// Makes the history of the run when somebody asks.
     pub history: Arc<HistoryMaker>,
 }
 

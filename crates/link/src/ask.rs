@@ -27,7 +27,7 @@ const PROBE_TIMEOUT: Duration = Duration::from_secs(5);
 /// How long after our own limit the network may clean up.
 const NETWORK_SLACK: Duration = Duration::from_secs(1);
 
-/// A question.
+/// A question with everything that is needed to send it.
 #[derive(Debug)]
 pub(crate) struct Inquiry {
     pub(crate) key: String,

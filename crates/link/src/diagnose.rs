@@ -96,7 +96,7 @@ fn handshake(address: &str, identity: &Identity, stream: TcpStream, whom: Whom) 
     identity.probe(host, stream).map_or_else(Obstacle::Handshake, |()| Obstacle::Stranger(whom))
 }
 
-/// Tries to connect.
+/// Connects to one of a host's addresses, or says what is in the way at the last one.
 fn tcp(address: &str, whom: Whom) -> Result<TcpStream, Obstacle> {
     let Ok(addresses) = address.to_socket_addrs() else { return Err(Obstacle::Unresolved) };
     let mut last = Obstacle::Unresolved;
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_missing_is_named_with_what_starts_it() {
+    fn a_missing_process_is_named_with_the_command_that_starts_it() {
         let told = Obstacle::Refused("notifier").to_string();
         let start = "start a service there: `leadtime serve POLICY --listen ENDPOINT`, or";
         assert!(told.contains(start), "{told}");

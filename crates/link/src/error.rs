@@ -35,10 +35,10 @@ impl std::error::Error for NetworkFault {}
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// Malformed address.
+    /// A text that is no address.
     #[error("`{endpoint}` is not an address: {problem}")]
     Endpoint {
-        /// As given.
+        /// The text as it was given.
         endpoint: String,
         /// What is wrong with it.
         problem: String,
@@ -90,9 +90,9 @@ pub enum Error {
         "the access list there does not let `{actor}` say hello to run `{run}`: issue a certificate of role actor to it, write the list again, and restart the process that reads it"
     )]
     NotAllowed {
-        /// The run.
+        /// The run whose learner is present.
         run: RunName,
-        /// The actor.
+        /// The name in the actor's certificate.
         actor: ActorId,
     },
     /// No learner is visible to this process, which shows a certificate.
@@ -101,7 +101,7 @@ pub enum Error {
         duration(*timeout)
     )]
     Unlisted {
-        /// The addresses.
+        /// The addresses that were looked at.
         endpoints: String,
         /// The name in our certificate.
         name: String,
@@ -111,7 +111,7 @@ pub enum Error {
     /// Listening failed for another reason.
     #[error("cannot listen on `{endpoint}`")]
     Listen {
-        /// The address.
+        /// The address that was to be listened on.
         endpoint: String,
         /// What the network said.
         #[source]
@@ -130,7 +130,7 @@ pub enum Error {
     /// Someone listens there, but no learner is to be found.
     #[error("no learner is running at {endpoints} (waited {})", duration(*timeout))]
     NoLearner {
-        /// The addresses.
+        /// The addresses that were looked at.
         endpoints: String,
         /// For how long it was waited.
         timeout: Duration,
@@ -140,7 +140,7 @@ pub enum Error {
         "another learner of run `{run}` is at work at {endpoints}: stop it, or give this run another name (--name)"
     )]
     AnotherLearner {
-        /// The run.
+        /// The run that both would train.
         run: RunName,
         /// The addresses of the routers.
         endpoints: String,
@@ -148,7 +148,7 @@ pub enum Error {
     /// Several runs share the address and none was named.
     #[error("several runs share {endpoints}: name one of {}", list(runs))]
     SeveralRuns {
-        /// The addresses.
+        /// The addresses that were looked at.
         endpoints: String,
         /// The runs that are there.
         runs: Vec<RunName>,
@@ -156,9 +156,9 @@ pub enum Error {
     /// The run that was named is not there.
     #[error("run `{run}` is not at {endpoints}; there: {}", list(present))]
     RunNotFound {
-        /// As named.
+        /// The run that was asked for.
         run: RunName,
-        /// The addresses.
+        /// The addresses that were looked at.
         endpoints: String,
         /// The runs that are there.
         present: Vec<RunName>,
@@ -166,17 +166,17 @@ pub enum Error {
     /// The learner does not want this actor.
     #[error("run `{run}` refused actor `{actor}`: {reason}")]
     Refused {
-        /// The run.
+        /// The run that the actor asked to take part in.
         run: RunName,
-        /// The actor.
+        /// The name that the actor gave.
         actor: ActorId,
-        /// The learner's sentence.
+        /// Why, in the learner's words.
         reason: String,
     },
     /// The run has come to its end, or its learner was asked to stop: nobody is wanted any more.
     #[error("run `{run}`: {RUN_IS_ENDING}")]
     Ending {
-        /// The run.
+        /// The run that is at its end.
         run: RunName,
     },
     /// No notifier of that name is at work there.
@@ -185,9 +185,9 @@ pub enum Error {
         there(present)
     )]
     NoService {
-        /// As named.
+        /// The notifier that was asked for.
         service: ServiceName,
-        /// The addresses.
+        /// The addresses that were looked at.
         endpoints: String,
         /// Those that are there.
         present: Vec<ServiceName>,
@@ -195,7 +195,7 @@ pub enum Error {
     /// A key that a robot cannot have.
     #[error("`{key}` cannot be a robot's key: {problem}")]
     RobotKey {
-        /// As given.
+        /// The key as it was given.
         key: String,
         /// What is wrong with it.
         problem: &'static str,
@@ -228,7 +228,7 @@ pub enum Error {
     Rejected {
         /// Where it was asked.
         key: String,
-        /// The peer's sentence.
+        /// Why, in the peer's words.
         reason: String,
     },
     /// A version of the weights that the learner does not keep (any more).
@@ -236,7 +236,7 @@ pub enum Error {
     NotKept {
         /// The version that was asked for.
         version: PolicyVersion,
-        /// The learner's sentence.
+        /// Why, in the learner's words.
         reason: String,
     },
     /// Weights that are not the ones which the learner announced as this version.
@@ -249,7 +249,7 @@ pub enum Error {
     TooLarge {
         /// Where it was to go.
         key: String,
-        /// Its size.
+        /// How many bytes it has.
         found: usize,
         /// The limit of its kind.
         limit: usize,

@@ -14,7 +14,7 @@ use crate::answer::{ControlResponder, HelloResponder};
 pub enum LearnerEvent {
     /// An actor introduces itself; its presence ([`LearnerEvent::Joined`]) is usually reported before.
     Hello {
-        /// The checked message.
+        /// What the actor says of itself, checked.
         hello: Hello,
         /// Where to answer.
         reply: Box<HelloResponder>,
@@ -24,7 +24,7 @@ pub enum LearnerEvent {
     Rollout {
         /// The name in the key that it came on: anyone can publish there, so it is a claim.
         actor: ActorId,
-        /// The header.
+        /// What the sender says in front of the body.
         header: Header,
         /// The body, still encoded.
         payload: Payload,
@@ -52,7 +52,7 @@ pub enum ActorEvent {
     Control {
         /// The start of the learner that gave it: anybody may be one, so it is for the actor to know its own.
         learner: Incarnation,
-        /// The order.
+        /// What the actor is to do.
         control: Control,
         /// Where to answer it.
         reply: ControlResponder,

@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn who_cannot_be_named_uses_up_no_ones_share() {
+    fn a_sender_without_a_name_uses_up_nobodys_share() {
         let (intake, events) = intake(2, 4);
         for _ in 0..5 {
             intake.refuse(Some(actor("a")), damaged(None));

@@ -41,9 +41,9 @@ const ACTOR: &str = "actor";
 /// Who takes part in a run.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Member {
-    /// The learner.
+    /// The learner, of which a run has one.
     Learner,
-    /// An actor.
+    /// One of the actors, by name.
     Actor(ActorId),
 }
 
@@ -66,7 +66,7 @@ impl fmt::Display for Member {
     }
 }
 
-/// One key.
+/// A key of a run, as its parts; displayed it is the text that the network knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Key<'a> {
     /// Presence of one start of a member.
@@ -75,17 +75,17 @@ pub enum Key<'a> {
     Hello(&'a RunName),
     /// Where an actor takes orders.
     Control(&'a RunName, &'a ActorId),
-    /// An actor's rollouts.
+    /// Where an actor publishes its rollouts.
     Rollouts(&'a RunName, &'a DomainName, &'a ActorId),
-    /// An actor's credit.
+    /// Where the learner tells an actor its credit.
     Credit(&'a RunName, &'a ActorId),
-    /// Announcements of weights.
+    /// Where the learner announces versions of the weights.
     Announcement(&'a RunName, &'a DomainName),
     /// Where weights are pulled.
     Weights(&'a RunName, &'a DomainName),
     /// Where they are pulled from the relay of a region.
     RelayedWeights(&'a RunName, &'a RegionName, &'a DomainName),
-    /// A member's metrics.
+    /// Where a member publishes its metrics.
     Metrics(&'a RunName, &'a Member),
     /// Where observers ask what a run is.
     About(&'a RunName),
@@ -134,7 +134,7 @@ pub enum Keys<'a> {
     PullsOf(&'a RunName),
     /// Where a region's relay is asked for weights, for every run and domain.
     PullsIn(&'a RegionName),
-    /// Metrics of everyone.
+    /// The metrics of every member of a run.
     MetricsOf(&'a RunName),
 }
 
@@ -157,11 +157,11 @@ impl fmt::Display for Keys<'_> {
 /// Who is alive in which run, as read from a key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Alive {
-    /// The run.
+    /// The run that the member takes part in.
     pub run: RunName,
-    /// Who.
+    /// The learner, or which actor.
     pub member: Member,
-    /// Its start.
+    /// Which start of the member is alive.
     pub incarnation: Incarnation,
 }
 

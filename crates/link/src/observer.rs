@@ -28,11 +28,11 @@ const HISTORY_TIMEOUT: Duration = Duration::from_secs(20);
 /// What an observer sees.
 #[derive(Debug)]
 pub enum ObserverEvent {
-    /// A member's metrics.
+    /// A member published its metrics.
     Metrics {
         /// The member that published them.
         member: Member,
-        /// Its start.
+        /// The start of the member that published them.
         incarnation: Incarnation,
         /// As the member wrote them.
         json: Vec<u8>,

@@ -102,6 +102,7 @@ pub(crate) struct PeerKey {
 impl PeerKey {
     fn new(own: &StartKey, peer: &VerifyingKey) -> Self {
         let (own, ours) = (own.0.verifying_key().to_bytes(), &own.0);
+        // One pair of keys serves for both: an Ed25519 key is an X25519 key in other coordinates (RFC 7748, section 4.1).
         let secret = peer.to_montgomery().mul_clamped(ours.to_scalar_bytes());
         // Both sides have to hash the two public keys in the same order.
         let theirs = peer.to_bytes();
@@ -226,6 +227,7 @@ impl Keyring {
         message: &'a [u8],
     ) -> Result<(Arc<PeerKey>, &'a [u8]), Refusal> {
         let (public, body) = check_signed(header, message)?;
+        // The signature was checked first: a stranger must not use up the numbers of somebody's hellos.
         let key = self.meet(&public);
         let mut peers = lock(&self.peers);
         let known =
@@ -261,6 +263,7 @@ impl Peers {
         }
         self.clock += 1;
         let used = self.clock;
+        // A key that is there already is the same one, and its count of hellos must not begin again.
         self.known.entry(key.peer).or_insert(Known { key, used, n_hellos: 0 });
     }
 }
@@ -277,6 +280,7 @@ pub(crate) fn check_signed<'a>(
     let MessageParts { body, public, made } = MessageParts::split(header, message)?;
     let public = readable(public)?;
     let signed = digest(blake3::Hasher::new(), header, body);
+    // Strictly: no part may be of small order, with which one signature could fit several messages.
     let checked = public.verify_strict(signed.as_bytes(), &Signature::from_bytes(made));
     checked.map_err(|_forged| refused())?;
     Ok((public, body))
@@ -297,6 +301,7 @@ impl<'a, const N: usize> MessageParts<'a, N> {
             let (body, public) = rest.split_last_chunk::<KEY_BYTES>()?;
             Some(Self { body, public, made })
         });
+        // A proof by another key than the one that the header's number stands for says nothing of that number.
         parts.filter(|parts| number(parts.public) == header.incarnation).ok_or_else(refused)
     }
 }
@@ -315,6 +320,7 @@ fn number(public: &[u8; KEY_BYTES]) -> Incarnation {
 }
 
 fn digest(mut hasher: blake3::Hasher, header: &Header, body: &[u8]) -> blake3::Hash {
+    // The header has a fixed length: no two pairs of header and body are the same bytes.
     hasher.update(&header.to_bytes()).update(body).finalize()
 }
 
@@ -388,7 +394,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_for_one_proves_nothing_to_another_and_back() {
+    fn a_message_for_one_start_proves_nothing_to_another_or_to_its_sender() {
         let (actor, learner, stranger) = (keyring(1), keyring(2), keyring(3));
         let (header, sent) = message(&actor, &learner, b"rollout");
         assert_eq!(cause(stranger.check(&header, &sent)), NO);
@@ -404,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn who_proves_nothing_takes_no_place_among_the_keys() {
+    fn a_sender_that_proves_nothing_takes_no_place_among_the_keys() {
         let (learner, stranger) = (keyring(1), keyring(2));
         let (header, mut sent) = message(&stranger, &learner, b"rollout");
         sent[0] ^= 1;

@@ -22,7 +22,7 @@ pub(crate) enum Class {
     Presence,
 }
 
-/// The callbacks' end.
+/// The end of a queue into which the network's callbacks put events.
 #[derive(Debug)]
 pub(crate) struct EventQueue<T> {
     sender: flume::Sender<T>,

@@ -259,7 +259,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_not_asked_for_the_longest_makes_room() {
+    fn the_weights_unasked_for_longest_make_room() {
         let mut shelf = RelayCache::new(100);
         let put = |shelf: &mut RelayCache, name: u8, n_bytes: usize| {
             let weights = Bytes::from(vec![name; n_bytes]);

@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_library_would_panic_at_is_known_before() {
+    fn settings_that_the_library_would_panic_at_are_found_before() {
         for good in [runtime().as_str(), "()", "(rx: (handover: app), tx: (worker_threads: 2))"] {
             assert_eq!(runtime_fault(good), None, "{good}");
         }

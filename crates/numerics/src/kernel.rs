@@ -355,13 +355,13 @@ impl Panels {
 /// Some rows of two matrices A and B, whose outer products are wanted.
 #[derive(Clone, Copy, Debug)]
 pub struct RowPairs<'a> {
-    /// A.
+    /// The matrix A: the sum has a row for each of its columns.
     pub left: &'a Panels,
-    /// B.
+    /// The matrix B: the sum has a column for each of its columns.
     pub right: &'a Panels,
     /// The first of the rows, in A as in B.
     pub first: usize,
-    /// How many rows.
+    /// How many rows are taken from there on.
     pub len: usize,
 }
 
@@ -584,7 +584,7 @@ impl Multiply<'_> {
 
 struct RowSums<'a> {
     rows: &'a [RowPairs<'a>],
-    /// The first panel.
+    /// The panel whose sums stand first in `sums`.
     first: usize,
     sums: &'a mut [f32],
 }

@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_always_there_stays_present() {
+    fn an_entity_that_is_always_there_stays_present() {
         let (spec, rows) = road(40);
         let Encoder::EgoAttention(attention) = &spec.encoder else { panic!("it is attention") };
         let flags: Vec<usize> = presence_flags(attention).collect();

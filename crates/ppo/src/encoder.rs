@@ -23,7 +23,7 @@ pub(crate) struct EncoderInput<'a> {
     pub(crate) observations: &'a [f32],
     /// Which of them, in their order. `[M]`
     pub(crate) samples: &'a [usize],
-    /// D.
+    /// Numbers of an observation: D.
     pub(crate) obs_dim: usize,
 }
 

@@ -90,6 +90,7 @@ impl AdvantageScale {
         let mean = advantages.clone().map(f64::from).sum::<f64>() / n;
         let squares: f64 = advantages.map(|a| (f64::from(a) - mean).powi(2)).sum();
         let deviation = (squares / (n - 1.0)).sqrt();
+        // The 1e-8 is the original's: equal advantages have deviation 0.
         Self { offset: mean as f32, factor: (1.0 / (deviation + 1e-8)) as f32 }
     }
 
@@ -207,10 +208,12 @@ impl PpoLoss<'_> {
         self.distribution.terms(logits, Mask(masks[sample]), action, action_terms);
         let advantage = advantages[sample];
         let advantage = self.scale.map_or(advantage, |scale| scale.apply(advantage));
+        // log r = log π(a|s) - log μ(a|s), where μ is the policy that acted: of a stale batch, not the newest.
         let log_ratio = action_terms.log_prob - log_probs[sample];
         let (terms, d_log_prob) =
             self.settings.policy_term(log_ratio, advantage, action_terms.entropy);
         let share = self.share();
+        // ∂L/∂H of this row: the entropy term is -entropy_coef · mean H.
         let d_entropy = -self.settings.entropy_coef * share;
         action_terms.gradient(self.distribution, action, d_log_prob * share, d_entropy, slopes);
         terms
@@ -237,6 +240,7 @@ impl PpoLoss<'_> {
             let (old, target) = (self.samples.values[sample], self.samples.returns[sample]);
             let (loss, slope) = self.settings.value_term(value[0], old, target);
             losses.push(loss);
+            // The ½ of the value loss and the 2 of its square cancel: `value_term` has neither.
             slopes.set_row(row, &[slope * self.settings.value_coef * share]);
         }
     }
@@ -252,6 +256,7 @@ impl PpoLoss<'_> {
         for terms in policy {
             sums.policy_loss += f64::from(terms.policy_loss);
             sums.entropy += f64::from(terms.entropy);
+            // Two estimates of KL(μ‖π): mean -log r, and mean (r - 1) - log r, which is never negative (Schulman, 2020).
             sums.old_approx_kl -= f64::from(terms.log_ratio);
             sums.approx_kl += f64::from(terms.approx_kl);
             sums.clip_fraction += f64::from(u8::from(terms.is_clipped));
@@ -269,6 +274,7 @@ impl LossSettings {
     fn policy_term(&self, log_ratio: f32, advantage: f32, entropy: f32) -> (PolicyTerms, f32) {
         let ratio = exp(log_ratio.min(MAX_LOG_RATIO));
         let clipped = ratio.clamp(1.0 - self.clip, 1.0 + self.clip);
+        // max(-A r, -A clip(r, 1 ± ε)).
         let (free, bound) = (-advantage * ratio, -advantage * clipped);
         let terms = PolicyTerms {
             policy_loss: free.max(bound),
@@ -283,12 +289,14 @@ impl LossSettings {
 
     /// Returns one row's value loss, without its factor ½, and its slope in the value.
     fn value_term(&self, value: f32, old: f32, target: f32) -> (f32, f32) {
+        // Without clipping (v - R)²; its slope, halved as the loss is, is v - R.
         let error = value - target;
         if !self.value_clip {
             return (error * error, error);
         }
         let change = value - old;
         let clipped = old + change.clamp(-self.clip, self.clip) - target;
+        // max((v - R)², (v₀ + clip(v - v₀, ±ε) - R)²); like the ratio's, the clipped branch has no slope outside the range.
         let within = change.abs() <= self.clip;
         let has_slope = within || error * error >= clipped * clipped;
         ((error * error).max(clipped * clipped), if has_slope { error } else { 0.0 })

@@ -287,7 +287,7 @@ fn the_most_absurd_numbers_that_are_let_in_do_not_end_a_run() {
 /// At some of these rates actors would send values that every learner refuses, one update before gradients overflow; at
 /// others the weights overflow at once.
 #[test]
-fn whatever_the_learning_rate_divergence_is_found_before_an_actor_sends_it() {
+fn divergence_is_found_before_an_actor_sends_it_at_any_learning_rate() {
     let attention = EgoAttention {
         n_frames: 1,
         n_entities: 3,
@@ -380,7 +380,7 @@ fn a_learner_computes_what_an_actor_computed() {
 }
 
 #[test]
-fn whoever_is_always_there_stays_present_while_observations_are_normalised() {
+fn an_entity_that_is_always_there_stays_present_while_observations_are_normalised() {
     let spec = PolicySpec { normalize_observations: true, ..random_rollouts::attentive() };
     let Encoder::EgoAttention(attention) = &spec.encoder else { panic!("it is attention") };
     let n_steps = 40;

@@ -1,7 +1,8 @@
 //! The log file, reopened after it was moved away.
 //!
 //! A program that rotates logs renames the file and may send SIGHUP. Without one the new file is noticed at a line a second later. A line
-//! that cannot be written is dropped.
+//! that cannot be written, on a full disk or into a pipe whose reader has stopped, is dropped: the process never waits for its log.
+//! Once lines can be written again, one says how many are missing.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
@@ -10,8 +11,11 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use leadtime_proto::phrase::counted;
+use leadtime_runs::clock;
 use rustix::fs::{OFlags, fcntl_setfl};
 use rustix::io::Errno;
+use serde_json::json;
 use tokio::signal::unix::{SignalKind, signal};
 
 /// How often it is looked whether the file is still the one that its name says.
@@ -20,7 +24,7 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// The log file of this process; none until one is opened.
 static LOG: OnceLock<LogFile> = OnceLock::new();
 
-/// A log file.
+/// A log file, which is opened again once its path names another one.
 #[derive(Debug)]
 struct LogFile {
     path: PathBuf,
@@ -31,13 +35,64 @@ struct LogFile {
 struct OpenLog {
     file: File,
     looked: Instant,
+    /// Lines that could not be written since the last one that could.
+    n_dropped: u64,
+    /// The last line in the file has no end.
+    is_torn: bool,
+}
+
+impl OpenLog {
+    /// Writes a line, or drops it.
+    fn put(&mut self, line: &[u8]) {
+        if self.n_dropped > 0 && self.write_whole(missing(self.n_dropped, line).as_bytes()) {
+            self.n_dropped = 0;
+        }
+        // As long as it was not said that lines are missing, none follows them.
+        if self.n_dropped > 0 || !self.write_whole(line) {
+            self.n_dropped += 1;
+        }
+    }
+
+    /// Writes a line; `false` if that is not possible now.
+    fn write_whole(&mut self, line: &[u8]) -> bool {
+        let end_before: &[u8] = if self.is_torn { b"\n" } else { b"" };
+        let whole = [end_before, line].concat();
+        let mut rest = whole.as_slice();
+        while !rest.is_empty() {
+            match self.file.write(rest) {
+                Ok(n) if n > 0 => rest = &rest[n..],
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Ok(_) | Err(_) => break,
+            }
+        }
+        if rest.len() < whole.len() {
+            self.is_torn = !rest.is_empty();
+        }
+        rest.is_empty()
+    }
+}
+
+/// Says how many lines are missing, in the form of the line that comes next.
+fn missing(n: u64, next: &[u8]) -> String {
+    let message = format!("{} of the log could not be written", counted(n, "line"));
+    if next.starts_with(b"{") {
+        let line = json!({
+            "time": clock::utc_millis(),
+            "level": "warn",
+            "target": module_path!(),
+            "message": message,
+            "fields": {},
+        });
+        return format!("{line}\n");
+    }
+    format!("{}  WARN {message}\n", clock::utc_now())
 }
 
 impl LogFile {
     fn open(path: &Path) -> io::Result<Self> {
         let file = append_to(path)?;
-        let open = Mutex::new(OpenLog { file, looked: Instant::now() });
-        Ok(Self { path: path.to_owned(), open })
+        let open = OpenLog { file, looked: Instant::now(), n_dropped: 0, is_torn: false };
+        Ok(Self { path: path.to_owned(), open: Mutex::new(open) })
     }
 
     fn lock(&self) -> MutexGuard<'_, OpenLog> {
@@ -47,7 +102,7 @@ impl LogFile {
     /// Reopens the file; the old one stays open if that fails.
     fn reopen(&self, open: &mut OpenLog) {
         if let Ok(file) = append_to(&self.path) {
-            open.file = file;
+            (open.file, open.is_torn) = (file, false);
         }
     }
 
@@ -59,7 +114,7 @@ impl LogFile {
                 self.reopen(&mut open);
             }
         }
-        drop(open.file.write_all(bytes));
+        open.put(bytes);
     }
 
     fn was_moved(&self, file: &File) -> bool {
@@ -80,7 +135,10 @@ fn append_to(path: &Path) -> io::Result<File> {
         }
         error
     })?;
-    fcntl_setfl(&file, OFlags::APPEND)?;
+    // One whose reader has stopped would do the same as soon as it is full, so there it stays.
+    if !file.metadata()?.file_type().is_fifo() {
+        fcntl_setfl(&file, OFlags::APPEND)?;
+    }
     Ok(file)
 }
 
@@ -151,5 +209,47 @@ mod tests {
         let mut line = [0; 4];
         reader.read_exact(&mut line).unwrap();
         assert_eq!(&line, b"one\n");
+    }
+
+    #[test]
+    fn a_pipe_whose_reader_stops_blocks_nobody_and_the_missing_lines_are_counted() {
+        let directory = tempfile::tempdir().unwrap();
+        let pipe = directory.path().join("pipe");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let mut reader = File::options();
+        reader.read(true).custom_flags(OFlags::NONBLOCK.bits().cast_signed());
+        let mut reader = reader.open(&pipe).unwrap();
+        let mut read = || {
+            let (mut text, mut buffer) = (Vec::new(), [0; 4_096]);
+            while let Ok(n @ 1..) = reader.read(&mut buffer) {
+                text.extend_from_slice(&buffer[..n]);
+            }
+            String::from_utf8(text).unwrap()
+        };
+        let log = LogFile::open(&pipe).unwrap();
+        let line = "x".repeat(99) + "\n";
+        for _ in 0..20_000 {
+            log.write(line.as_bytes());
+        }
+        let mut text = read();
+        log.write(b"last\n");
+        text += &read();
+        assert!(text.ends_with(" could not be written\nlast\n"), "{text}");
+        let n_kept = text.lines().filter(|kept| *kept == line.trim_end()).count();
+        let missing = text.lines().filter_map(|told| {
+            told.split_once("  WARN ")?.1.split(' ').next()?.parse::<usize>().ok()
+        });
+        assert_eq!(n_kept + missing.sum::<usize>(), 20_000);
+
+        // A line for which there is only some room is ended before the next one.
+        let long = "y".repeat(4 << 20) + "\n";
+        log.write(long.as_bytes());
+        assert!(read().starts_with('y'));
+        log.write(b"{}\n");
+        let rest = read();
+        let lines: Vec<&str> = rest.lines().collect();
+        assert!(lines.len() == 3 && lines[0].is_empty() && lines[2] == "{}", "{rest}");
+        let told = "\"message\":\"1 line of the log could not be written\"";
+        assert!(lines[1].contains(told), "{rest}");
     }
 }

@@ -44,7 +44,7 @@ impl NewFile {
         self.file.try_clone()
     }
 
-    /// Lets it stay.
+    /// Lets the file stay when this is dropped.
     pub fn keep(&mut self) {
         self.is_kept = true;
     }

@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn whatever_is_sent_is_recorded_as_an_object() {
+    fn every_message_is_recorded_as_an_object() {
         let other = ArrivalEncoding::Other("text/csv".to_owned());
         for (encoding, bytes) in [
             (&ArrivalEncoding::Json, &b"noise\xff"[..]),

@@ -61,7 +61,7 @@ pub fn picture(session: &RecordedSession, asked: Option<Range<u64>>) -> Option<S
         labels_height + BAR_HEIGHT + GAP + BAND_HEIGHT + GAP + curves_height + AXIS_HEIGHT;
     let height = HEAD + n_lines as f64 * line_height + MARGIN / 2.0;
     let mut canvas = Canvas::new("session", WIDTH, height);
-    draw_head(&mut canvas, session, &course, [from, to]);
+    draw_head(&mut canvas, session, &course, from, to);
     for i in 0..n_lines {
         let start = from + i as f64 * LINE_SECONDS;
         let line = TimeLine {
@@ -100,7 +100,8 @@ fn draw_head(
     canvas: &mut Canvas,
     session: &RecordedSession,
     course: &SessionCourse,
-    [from, to]: [f64; 2],
+    from: f64,
+    to: f64,
 ) {
     let client = &session.client;
     let title = TextStyle::new(16.0, Ink::Text).bold();

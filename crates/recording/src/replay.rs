@@ -340,7 +340,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_lost_is_no_difference_and_what_is_other_is_one() {
+    fn lost_messages_are_not_differences_and_changed_ones_are() {
         let (end, start) = (event(3, "end"), event(3, "start"));
         let renumbered = HeardSay { utterance: 1, age: 0.5, ..start.clone() };
         let said = [end.clone(), renumbered];

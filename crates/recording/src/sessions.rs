@@ -438,7 +438,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_beginning_is_replayed_from_the_next_episode_on() {
+    fn a_session_without_its_beginning_is_replayed_from_the_next_episode_on() {
         let late = &sessions(&client(&[(5, 0, 5), (6, 1, 6), (7, 1, 7)], &[]))[0];
         assert_eq!(numbers(late), [vec![6, 7]]);
         assert_eq!((late.gaps[&Gap::CameLate], late.n_apart), (1, 1));

@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_anywhere_is_no_panic_and_nothing_wrong_is_read() {
+    fn damage_anywhere_causes_neither_a_panic_nor_wrong_data() {
         let whole = recording(25);
         for i in 0..whole.len() {
             for bit in [0x01, 0x80] {

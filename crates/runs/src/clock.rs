@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use jiff::tz::TimeZone;
 use leadtime_proto::Incarnation;
 
-/// Returns this moment.
+/// Returns this moment by the wall clock.
 #[expect(clippy::disallowed_methods, reason = "this is the one file that reads the wall clock")]
 pub fn now() -> Timestamp {
     at(SystemTime::now())

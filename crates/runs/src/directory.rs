@@ -47,7 +47,7 @@ use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult, SettingChange};
 /// A locked run directory.
 #[derive(Debug)]
 pub struct RunDir {
-    /// The directory.
+    /// Where the directory is.
     pub path: PathBuf,
     /// The run's name.
     pub name: RunName,

@@ -193,7 +193,7 @@ fn the_score_at_which_a_run_ends_may_rise_or_go_and_nothing_else() {
 }
 
 #[test]
-fn a_directory_that_is_no_run_is_left_alone_and_one_that_was_hardly_begun_is_used() {
+fn a_directory_that_is_not_a_run_is_left_alone_and_one_that_was_hardly_begun_is_used() {
     let runs = tempfile::tempdir().unwrap();
     for (name, file) in [("r", "novel.txt"), ("s", "checkpoints/000000000001.checkpoint")] {
         let path = runs.path().join(name).join(file);
@@ -283,7 +283,7 @@ fn a_damaged_file_is_named_with_what_helps() {
 }
 
 #[test]
-fn what_is_in_the_way_of_a_directory_is_named_and_a_link_says_where_it_leads() {
+fn a_file_in_the_way_of_a_directory_is_named_and_a_link_says_where_it_leads() {
     let runs = tempfile::tempdir().unwrap();
     begun(runs.path(), Some("r"), &[]);
     let says = |name: &str| with_causes(&open(runs.path(), Some(name), &[]).unwrap_err());

@@ -16,7 +16,7 @@ pub const LAST_EVALUATION: &str = "eval.json";
 /// What was evaluated, on which episodes, and what came out.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EvaluationRecord {
-    /// The policy's file.
+    /// Where the policy's file was found.
     pub policy: String,
     /// SHA-256 over that file, in hexadecimal.
     pub policy_sha256: String,

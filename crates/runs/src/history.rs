@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_appended_is_read_once_and_a_rewound_file_is_noticed() {
+    fn appended_lines_are_read_once_and_a_rewound_file_is_noticed() {
         let run = tempfile::tempdir().unwrap();
         let path = run.path().join("metrics.jsonl");
         let mut tail = JournalTail::new(run.path());

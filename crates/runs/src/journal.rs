@@ -15,7 +15,7 @@ use serde_json::{Map, Value};
 
 use crate::regular;
 
-/// The open journal.
+/// The journal of a run, open to be written on.
 #[derive(Debug)]
 pub(crate) struct Journal {
     path: PathBuf,

@@ -26,9 +26,9 @@ const ORPHAN_PAUSE: Duration = Duration::from_millis(50);
 /// What to launch beside the configuration.
 #[derive(Clone)]
 pub struct Launch<'a> {
-    /// Which run.
+    /// Whether a run goes on or a new one begins.
     pub naming: Naming<'a>,
-    /// How many actors.
+    /// How many actors are started beside the learner.
     pub n_actors: u32,
     /// Further addresses for the learner.
     pub listen: &'a [String],

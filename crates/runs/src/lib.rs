@@ -64,7 +64,7 @@ pub use directory_error::RunDirError;
 pub use evaluation_record::{EvaluationRecord, LAST_EVALUATION};
 pub use find::{find_run, name_in_place};
 pub use layout::RunState;
-pub use leadtime_learner::write_atomically;
+pub use leadtime_learner::{PartialFile, write_atomically};
 pub use learner_config::learner_config;
 pub use listing::ListedRun;
 pub use naming::{Naming, check_place};

@@ -42,7 +42,7 @@ pub enum PolicyFileError {
     /// The file cannot be read.
     #[error("reading {}", path.display())]
     Read {
-        /// The file.
+        /// The file that was to be read.
         path: PathBuf,
         /// What the system says.
         source: io::Error,
@@ -59,7 +59,7 @@ pub enum PolicyFileError {
     /// The weights are not those of the task's networks.
     #[error("{} does not fit its task", path.display())]
     Misfit {
-        /// The file.
+        /// The file whose weights these are.
         path: PathBuf,
         /// Which tensor does not fit.
         source: leadtime_policy::Error,
@@ -126,7 +126,7 @@ impl LoadedPolicy {
 pub struct Fork {
     /// What they are, for the run's record.
     pub origin: ForkOrigin,
-    /// The policy file.
+    /// The bytes of the policy file that they were read from.
     pub bytes: Vec<u8>,
 }
 

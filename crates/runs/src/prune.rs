@@ -50,7 +50,7 @@ pub enum StaysBecause {
     CannotRemove,
 }
 
-/// An old run.
+/// A run that is old enough to be removed, or what is left of one.
 #[derive(Clone, Debug, Serialize)]
 pub struct OldRun {
     /// Its name in the directory of runs.
@@ -245,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn a_young_run_is_none_and_an_open_one_stays() {
+    fn a_young_run_is_not_listed_and_an_open_one_stays() {
         let runs = tempfile::tempdir().unwrap();
         let path = make(runs.path(), "a");
         let day = PruneRule { older: Duration::from_hours(24), ..ALL };
@@ -262,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_removal_has_left_goes_with_the_next_one() {
+    fn leftovers_of_a_killed_removal_go_with_the_next_one() {
         let runs = tempfile::tempdir().unwrap();
         make(runs.path(), "a");
         // The record may be gone already.

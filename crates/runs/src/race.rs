@@ -137,7 +137,7 @@ type Ranked<'a> = (usize, &'a RaceScore);
 /// What a race costs at most.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RaceCost {
-    /// How many begin.
+    /// How many racers begin.
     pub racers: u64,
     /// Steps of each of them to the quarter.
     pub steps_each: u64,
@@ -171,7 +171,7 @@ pub struct Race {
     pub n_keep: usize,
     /// Episodes of the comparison at the end.
     n_episodes: u32,
-    /// The first racer's.
+    /// The seed of the first racer; each other one has the next.
     seed: u64,
 }
 
@@ -491,7 +491,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_dropped_out_does_not_go_on_and_returns_are_compared_by_their_errors() {
+    fn a_racer_that_dropped_out_does_not_go_on_and_returns_are_compared_by_their_errors() {
         let (ahead, close, far) = (score(12, false), score(10, false), score(2, false));
         assert_eq!(going_on(&[None, Some(&ahead), Some(&close), Some(&far)], 4), [1, 2]);
         assert_eq!(going_on(&[None, None], 1), [0; 0]);

@@ -32,9 +32,9 @@ pub enum RecordError {
     /// A later release wrote it.
     #[error("{} has format {found}, this release reads up to {RUN_FORMAT}: use the newer release", path.display())]
     Newer {
-        /// The file.
+        /// The record's file.
         path: PathBuf,
-        /// Its format.
+        /// The format that it says it has.
         found: u32,
     },
 }
@@ -124,7 +124,7 @@ pub enum ResultCause {
 /// What a finished run came to.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunResult {
-    /// When, UTC.
+    /// When the run was finished, in UTC.
     pub finished: String,
     /// What ended it; all steps in a record from before there was anything else.
     #[serde(default)]

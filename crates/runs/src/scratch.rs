@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_killed_owner_leaves_is_removed_and_nothing_else() {
+    fn only_the_leftovers_of_a_killed_owner_are_removed() {
         let base = tempfile::tempdir().unwrap();
         let make = |name: &str, files: &[&str]| {
             let directory = base.path().join(name);

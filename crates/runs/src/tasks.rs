@@ -21,7 +21,7 @@ pub enum ConfigureError {
     /// The file cannot be read.
     #[error("reading {}", file.display())]
     Read {
-        /// The file.
+        /// The file that was to be read.
         file: PathBuf,
         /// What the system says.
         source: io::Error,

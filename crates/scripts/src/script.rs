@@ -276,7 +276,7 @@ say = { topic = "descend", k = 2, l = 2 }
     }
 
     #[test]
-    fn what_is_hardly_meant_is_listed() {
+    fn rules_that_are_hardly_meant_are_listed() {
         assert_eq!(Script::read(TEXT).unwrap().oddities(), [] as [&str; 0]);
         let text = "rules = [{ when = [{ of = \"y\", above = 1.0, below = 0.5 }] }, { when = [{ of = \"x\" }] }, { pause = 1 }]";
         let says = [

@@ -80,7 +80,7 @@ const UTTERANCES_PASSED: u32 = 16;
 pub struct ObservationBytes<'a> {
     /// How it is written.
     pub encoding: &'a ArrivalEncoding,
-    /// The message.
+    /// The bytes of the message.
     pub payload: &'a [u8],
     /// What was attached to it.
     pub beside: Option<&'a [u8]>,

@@ -196,7 +196,7 @@ fn silence_has_a_reason() {
 }
 
 #[test]
-fn what_is_not_understood_is_cut_when_its_observation_is_stale() {
+fn a_message_not_yet_understood_is_cut_when_its_observation_is_stale() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe_from_to(0, 100);
     let k = bench.told.says[0].1.k;
@@ -294,7 +294,7 @@ fn numbers_out_of_order_are_dropped_and_gaps_counted() {
 }
 
 #[test]
-fn who_counts_anew_is_told_that_nothing_is_taken() {
+fn a_client_that_counts_from_the_beginning_again_is_told_that_nothing_is_taken() {
     let mut bench = Bench::open(false, &json!({}));
     let head = ObservationHead { seq: 1_000, t: 0.2, episode: 0, end: false };
     bench.send(&head);
@@ -313,7 +313,7 @@ fn who_counts_anew_is_told_that_nothing_is_taken() {
 }
 
 #[test]
-fn what_cannot_be_used_is_told_and_sixteen_in_a_row_end_the_session() {
+fn unusable_observations_are_reported_and_sixteen_in_a_row_end_the_session() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe();
     let n = bench.n;
@@ -381,7 +381,7 @@ fn a_number_in_another_unit_is_strange_and_told_once() {
 }
 
 #[test]
-fn nobody_is_spoken_to_whose_episode_has_ended() {
+fn a_listener_whose_episode_has_ended_is_not_spoken_to() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe_from_to(0, 100);
     let head = ObservationHead { end: true, ..bench.head() };
@@ -404,7 +404,7 @@ fn nobody_is_spoken_to_whose_episode_has_ended() {
 }
 
 #[test]
-fn what_was_held_up_on_its_way_is_old() {
+fn an_observation_held_up_on_its_way_is_old() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe_from_to(0, 200);
     bench.until(5_000);
@@ -622,7 +622,7 @@ fn an_unknown_fact_is_counted_and_told_once_with_the_one_that_was_meant() {
 }
 
 #[test]
-fn what_is_too_long_and_a_report_that_cannot_be_read_are_told() {
+fn a_message_that_is_too_long_and_an_unreadable_report_are_reported() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe();
     bench.until(100);

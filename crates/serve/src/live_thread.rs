@@ -108,7 +108,7 @@ pub(crate) struct LiveThread {
 }
 
 impl LiveThread {
-    /// Starts a thread.
+    /// Starts the thread of a session.
     pub(crate) fn start(
         name: String,
         decider: LiveDecider,

@@ -8,6 +8,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder, RobotKeys};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ClientName, Incarnation};
+use leadtime_sims::SnapshotError;
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_voice::Loudspeaker;
 use serde::{Deserialize, Serialize};
@@ -131,6 +132,34 @@ struct KeptSession {
     /// When, by the wall clock, in nanoseconds.
     at: i64,
     snapshot: LiveSnapshot,
+}
+
+/// Why the kept state of a session cannot be read.
+#[derive(Debug, Error)]
+enum KeptFault {
+    /// It was torn, or changed.
+    #[error("its checksum is wrong")]
+    Checksum,
+    /// Another release wrote it.
+    #[error(transparent)]
+    Content(#[from] SnapshotError),
+}
+
+/// Writes a session's state, and a checksum behind it: with one wrong number nobody might be spoken to any more.
+fn write_kept(kept: &KeptSession) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    write_snapshot(kept, &mut bytes);
+    let checksum = crc32c::crc32c(&bytes);
+    bytes.extend_from_slice(&checksum.to_le_bytes());
+    bytes
+}
+
+fn read_kept(bytes: &[u8]) -> Result<KeptSession, KeptFault> {
+    let (state, checksum) = bytes.split_last_chunk::<4>().ok_or(KeptFault::Checksum)?;
+    if crc32c::crc32c(state) != u32::from_le_bytes(*checksum) {
+        return Err(KeptFault::Checksum);
+    }
+    Ok(read_snapshot(state)?)
 }
 
 /// Returns a time in nanoseconds as a number that may be less than zero.
@@ -423,7 +452,7 @@ impl LiveService {
         let mut notes = plan.notes.clone();
         let kept = self.settings.store.as_ref().and_then(|store| store.find(client));
         let kept: Option<KeptSession> = kept.and_then(|bytes| {
-            let read = read_snapshot(&bytes);
+            let read = read_kept(&bytes);
             read.inspect_err(|error| {
                 warn!(%client, %error, "the kept state of a session cannot be read; the client gets a new one");
             })
@@ -527,9 +556,7 @@ impl LiveService {
                     question: registered.question.clone(),
                     snapshot: *snapshot,
                 };
-                let mut bytes = Vec::new();
-                write_snapshot(&kept, &mut bytes);
-                if let Err(error) = store.keep(&client, &bytes)
+                if let Err(error) = store.keep(&client, &write_kept(&kept))
                     && !std::mem::replace(&mut self.is_store_told, true)
                 {
                     warn!(%error, "the state of sessions cannot be kept; they will not survive this process");

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_lost_is_in_the_next_message() {
+    fn lost_lines_are_repeated_in_the_next_message() {
         let mut log = TakenLog::new(Incarnation(0), false);
         for n in 1..20 {
             let message = log.write("a", n, n, 0, TakenInput::Tick);

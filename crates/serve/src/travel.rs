@@ -56,7 +56,7 @@ mod tests {
     const SECOND: u64 = 1_000_000_000;
 
     #[test]
-    fn what_was_held_up_is_old_although_it_arrives_now() {
+    fn a_message_held_up_on_its_way_is_old_although_it_arrives_now() {
         let mut travel = TravelTime::default();
         for i in 0..10 {
             let sent = i as f64 * 0.1 + 77.0;

@@ -24,9 +24,9 @@ const ENTRY: Duration = Duration::from_secs(1);
 /// What a learner's page needs to know of its run once.
 #[derive(Debug)]
 pub struct LearnerFacts {
-    /// Its name.
+    /// The name of the run.
     pub run: String,
-    /// Its directory.
+    /// The directory of the run.
     pub directory: PathBuf,
     /// The configured time between checkpoints.
     pub checkpoint_interval: Duration,
@@ -61,7 +61,7 @@ struct LearnerPage {
 }
 
 impl LearnerStatus {
-    /// Begins to serve.
+    /// Begins to serve what the learner tells.
     pub fn serve(server: StatusServer, facts: LearnerFacts) -> Self {
         let liveness = Liveness::new();
         let start = liveness.start();

@@ -20,7 +20,7 @@ pub(crate) enum MetricPage {
     Learner,
     /// The actor's, with the label `actor`.
     Actor,
-    /// Both.
+    /// Both pages.
     Both,
 }
 
@@ -46,7 +46,7 @@ pub(crate) struct MetricRow {
     pub label: MetricLabel,
     /// On whose page it is.
     pub page: MetricPage,
-    /// One sentence.
+    /// What it counts or measures, in one sentence.
     pub help: &'static str,
 }
 

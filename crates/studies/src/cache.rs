@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_damaged_file_or_an_unwritable_one_counts_as_none() {
+    fn a_damaged_or_unwritable_file_counts_as_missing() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("a.json");
         let mut cache = EvalCache::new(&build("one"));

@@ -96,7 +96,7 @@ impl Artist<'_> {
         };
         let what = if is_one { "success and return" } else { "success" };
         let caption = format!(
-            "{}: {what} of the last 100 training episodes, each notifier on the person it trains with; {spread}",
+            "{}: {what} of the last 100 training episodes, each notifier on the listener it trains with; {spread}",
             self.title
         );
         self.figure("learning", caption, &svg, SCALE)

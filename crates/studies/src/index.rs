@@ -28,7 +28,7 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
     if let Some(verdict) = text_of(&results.join(VERDICT))? {
         page.extend(["## Does it reproduce the paper?\n\n", &verdict, "\n"]);
     }
-    page.push_str(&others(results)?);
+    page.push_str(&others(results));
     let mut missing = Vec::new();
     for name in catalog::names() {
         let full = read(&results.join(format!("{name}.json")))?;
@@ -83,8 +83,8 @@ fn read(path: &Path) -> Result<Option<StudyResult>, Error> {
 }
 
 /// Lists the other pages of the directory by their headings.
-fn others(results: &Path) -> Result<String, Error> {
-    let Ok(entries) = fs::read_dir(results) else { return Ok(String::new()) };
+fn others(results: &Path) -> String {
+    let Ok(entries) = fs::read_dir(results) else { return String::new() };
     let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
     let is_page = |name: &str| Path::new(name).extension().is_some_and(|end| end == "md");
     let is_study = |name: &str| catalog::names().any(|study| name == format!("{study}.md"));
@@ -95,17 +95,19 @@ fn others(results: &Path) -> Result<String, Error> {
     let mut lines = String::new();
     for name in names {
         let path = results.join(&name);
-        let bytes = fs::read(&path).map_err(Error::file("reading", &path))?;
-        // Somebody else's page, in whichever encoding, must not end a comparison that is done.
+        // Somebody else's page, in whichever encoding or not to be read at all, must not end a comparison that is done.
+        let bytes = fs::read(&path).unwrap_or_default();
         let text = String::from_utf8_lossy(&bytes);
         let heading = text.lines().find_map(|line| line.strip_prefix("# ")).unwrap_or(&name);
         lines.extend(["* [", heading, "](", &name, ")\n"]);
     }
-    Ok(if lines.is_empty() { lines } else { format!("Elsewhere:\n\n{lines}\n") })
+    if lines.is_empty() { lines } else { format!("Elsewhere:\n\n{lines}\n") }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::symlink;
+
     use super::*;
     use crate::test_support::sentence;
 
@@ -116,11 +118,14 @@ mod tests {
         fs::write(dir.path().join(VERDICT), "| claim | verdict |\n").unwrap();
         fs::write(dir.path().join("old.md"), b"# Old \xff\n").unwrap();
         fs::create_dir(dir.path().join("notes.md")).unwrap();
+        // A file that nobody can read from its beginning, whoever runs this.
+        symlink("/proc/self/mem", dir.path().join("locked.md")).unwrap();
         let page = page(dir.path()).unwrap();
         assert!(page.contains("## Does it reproduce the paper?\n\n| claim |"), "{page}");
         let page = page.replacen("\n## Does", "", 1);
         assert!(page.contains("* [Parity with others](parity.md)"), "{page}");
         assert!(page.contains("* [Old \u{fffd}](old.md)") && !page.contains("notes.md"), "{page}");
+        assert!(page.contains("* [locked.md](locked.md)"), "{page}");
         let rest = "Other tables are not in this directory: `leadtime compare table1`, ";
         assert!(page.contains(rest), "{page}");
         assert!(!page.contains("\n## "), "what is not there has no section: {page}");

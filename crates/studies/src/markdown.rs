@@ -93,7 +93,8 @@ impl PartResult {
         let intro = format!(
             "Trainings, each evaluated with the listener it trained with. One has *failed* if its success is more than \
              {failed_below} below the best of its row; the share that failed has its exact {percent:.0} % interval. The \
-             interval of the mean holds here however trainings are distributed.\n\n"
+             interval of the mean is cautious: no distribution of trainings is known for which it fails, though nobody has \
+             proved that there is none.\n\n"
         );
         let head =
             ["notifier", "trainings", "failed", "share failed", "best", "mean success", "IQM"];

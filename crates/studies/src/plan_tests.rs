@@ -63,7 +63,7 @@ fn a_rows_number_of_seeds_is_above_the_parts_and_that_above_the_studys() {
 }
 
 #[test]
-fn what_a_training_computes_decides_its_hash_and_nothing_else_does() {
+fn a_trainings_hash_depends_only_on_what_it_computes() {
     let hash = |request| plan(STUDY, &request).unwrap().trainings()[0].hash.clone();
     let before = hash(whole());
     let free = ["run.checkpoint_every=3", "evaluation.episodes=9"].map(set).concat();

@@ -25,7 +25,7 @@ pub(crate) struct RowTrainings {
     pub(crate) failed: Interval,
     /// Mean success without the best and the worst quarter.
     pub(crate) interquartile_mean: f64,
-    /// Mean success, with an interval that holds however trainings are distributed.
+    /// Mean success, with a cautious interval: no distribution of trainings is known for which it fails.
     pub(crate) mean: Interval,
 }
 
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_training_is_compared_with_none() {
+    fn a_single_training_is_not_compared() {
         assert_eq!(RowTrainings::new(vec![0.9], 0.05, &Bootstrap::new(1)), None);
     }
 }

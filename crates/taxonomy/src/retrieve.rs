@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn of_equal_losses_the_smaller_k_wins() {
+    fn the_smaller_k_wins_among_equal_losses() {
         let taxonomy =
             with_cells(&[(0, Cell::new(3, 4)), (0, Cell::new(4, 5)), (1, Cell::new(2, 2))]);
         let even = Loss { seconds_per_word: 1.0, late: 1.0, early: 1.0, length: 0.0 };

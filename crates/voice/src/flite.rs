@@ -200,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn phones_are_dealt_out_to_words_and_a_pause_belongs_to_none() {
+    fn phones_are_dealt_out_to_words_and_a_pause_belongs_to_no_word() {
         let phones = phones("pau:0.2 k:0.3 l:0.35 ay:0.45 pau:0.6 n:0.7 aw:0.9 pau:1.1").unwrap();
         assert_eq!(phones.len(), 5);
         let words = word_times(&phones, &[3, 2]).unwrap();
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_list_of_phones_is_not_taken_for_one() {
+    fn text_that_is_not_a_list_of_phones_is_not_taken_for_one() {
         for printed in ["", "pau:0.2", "usage: flite TEXT", "k:0.3 l:0.2", "k"] {
             assert_eq!(phones(printed), None, "{printed}");
         }

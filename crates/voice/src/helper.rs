@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn garbage_is_no_answer() {
+    fn garbage_is_not_taken_for_an_answer() {
         let read = |bytes: &[u8]| read_answer(&mut BufReader::new(bytes));
         let good = b"{\"rate\":16000,\"samples\":2}\n\x01\0\x02\0";
         assert_eq!(read(good).unwrap().samples, [1, 2]);

@@ -46,7 +46,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn noise_is_no_sound() {
+    fn bytes_that_are_not_vorbis_are_refused() {
         for bytes in [&b""[..], b"OggS", &[7; 300]] {
             assert!(decode(bytes).is_err());
         }

@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_gone_is_shown_for_a_minute_and_may_come_back() {
+    fn an_actor_that_is_gone_is_shown_for_a_minute_and_may_come_back() {
         let mut table = ActorTable::default();
         table.joined("a", "01", 0.0);
         table.joined("b", "02", 0.0);
@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_left_comes_back_only_by_joining() {
+    fn an_actor_that_has_left_comes_back_only_by_joining() {
         let mut table = ActorTable::default();
         table.joined("a", "01", 0.0);
         table.left("a", "01", 1.0);
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_actors_name_is_left_out_and_sums_have_an_end() {
+    fn a_name_that_no_actor_can_have_is_left_out_and_sums_have_a_limit() {
         let mut table = ActorTable::default();
         let refused = json!({"credit": u64::MAX, "non_finite": 2});
         let actor = |id: &str| json!({"id": id, "incarnation": "01", "refused": refused});

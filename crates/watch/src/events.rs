@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_kind_of_event_is_told() {
+    fn an_unknown_kind_of_event_is_reported() {
         let refused = Wanted::parse(Some("update,everything")).unwrap_err();
         assert!(refused.contains("about, history, update"), "{refused}");
         assert_eq!(Wanted::parse(Some("")).unwrap(), all());
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn only_who_wants_moments_looks_at_the_policy() {
+    fn only_subscribers_who_want_moments_count_as_watching() {
         let (mut hub, now) = (EventHub::default(), Instant::now());
         let wanted = Wanted::parse(Some("state,update")).unwrap();
         let _script = hub.join(wanted, Vec::new(), now).unwrap();

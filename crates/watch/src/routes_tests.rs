@@ -151,7 +151,7 @@ async fn an_actor_that_is_gone_for_long_leaves_the_table_without_a_roster() {
 }
 
 #[tokio::test]
-async fn what_is_asked_wrongly_is_told() {
+async fn a_wrong_request_is_answered_with_what_is_possible() {
     let page = page();
     let answer = ask(&page, "/events?only=everything", &[]).await;
     assert_eq!(answer.status(), 400);

@@ -87,7 +87,7 @@ fn phases_books_and_staleness_come_with_an_update() {
 }
 
 #[test]
-fn who_comes_late_sees_the_whole_history_and_no_update_twice() {
+fn a_late_subscriber_sees_the_whole_history_and_no_update_twice() {
     let early = at_update(50);
     let mut late = RunView::new("r");
     late.learner_joined("01", 1050.0);
@@ -108,7 +108,7 @@ fn who_comes_late_sees_the_whole_history_and_no_update_twice() {
 }
 
 #[test]
-fn after_a_resume_what_was_rolled_back_is_gone() {
+fn updates_that_were_rolled_back_are_gone_after_a_resume() {
     let mut view = at_update(30);
     view.learner_left("01", 1031.0);
     assert_eq!(view.phase(1040.0), RunPhase::Lost);
@@ -204,7 +204,7 @@ fn no_number_of_a_peer_is_too_large() {
 }
 
 #[test]
-fn what_a_peer_tells_has_limits() {
+fn messages_of_a_peer_have_limits() {
     let mut view = at_update(1);
     let many = |prefix: &str, n: usize| -> Map<String, Value> {
         (0..n).map(|i| (format!("{prefix}{i}"), json!(1))).collect()
@@ -261,7 +261,7 @@ fn a_run_has_one_of_these_phases() {
 }
 
 #[test]
-fn what_is_no_message_changes_nothing() {
+fn bytes_that_are_not_a_message_change_nothing() {
     let mut view = at_update(3);
     let before = view.json(1003.0);
     for told in [

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::text::{printable, quoted};
+use leadtime_table::Table;
 use serde_json::Value;
 
 use crate::state::RunView;
@@ -169,10 +170,8 @@ fn actors(actors: &Value) -> Vec<String> {
     if actors.is_empty() {
         return Vec::new();
     }
-    let mut lines = vec![format!(
-        "\n{:<24} {:>5} {:>8} {:>9} {:>5} {:>9} {:>8}",
-        "actor", "envs", "steps/s", "iteration", "lag", "credit", "silent"
-    )];
+    let head = ["actor", "envs", "steps/s", "iteration", "lag", "credit", "silent"];
+    let mut table = Table::new(head).elastic(0);
     let cell = |value: &Value| value.as_f64().map_or("-".to_owned(), |value| format!("{value:.0}"));
     for actor in actors.iter().take(N_ACTORS) {
         let credit = &actor["credit"];
@@ -180,16 +179,18 @@ fn actors(actors: &Value) -> Vec<String> {
             Some(_) => "gone".to_owned(),
             None => format!("{:.1} s", actor["silent_s"].as_f64().unwrap_or(0.0)),
         };
-        lines.push(format!(
-            "{:<24} {:>5} {:>8} {:>9} {:>5} {:>9} {silent:>8}",
-            text(&actor["id"]),
+        table.push([
+            text(&actor["id"]).to_owned(),
             cell(&actor["envs"]),
             cell(&actor["steps_per_second"]),
             cell(&actor["iteration"]),
             cell(&actor["lag"]),
             format!("{}/{}", cell(&credit["used"]), cell(&credit["window"])),
-        ));
+            silent,
+        ]);
     }
+    let mut lines = vec![String::new()];
+    lines.extend(table.text_within(leadtime_table::WIDTH).lines().map(str::to_owned));
     if actors.len() > N_ACTORS {
         lines.push(format!("and {} more", actors.len() - N_ACTORS));
     }

@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn where_nothing_is_a_sentence_says_so() {
+    async fn an_unknown_path_is_answered_with_a_sentence() {
         let host = [("host", "localhost")];
         let answer = answer(&Guard::new(), &host, "GET", "/nothing").await;
         assert_eq!(answer.status().as_u16(), 404);

@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_address_is_named() {
+    fn a_text_that_is_not_an_address_is_named() {
         for text in ["", "8080", "localhost", "localhost:x", "127.0.0.1:99999", "example.org:80"] {
             let error = parse_address(text, "127.0.0.1:9464").unwrap_err().to_string();
             let told =

@@ -93,7 +93,7 @@ fn what_cannot_be_built_says_why() {
 }
 
 #[test]
-fn what_is_not_given_is_as_in_that_world() {
+fn settings_that_are_not_given_are_those_of_that_world() {
     let text = r#"{"human": {"interrupt": "finish"}, "notifier": {"history": 2}}"#;
     let highway: HighwayTaskSettings = serde_json::from_str(text).unwrap();
     let steakhouse: SteakhouseTaskSettings = serde_json::from_str(text).unwrap();

@@ -2,11 +2,8 @@
 
 mod truth;
 
-use std::fs::{File, OpenOptions};
-use std::io::Write as _;
 use std::path::Path;
 
-use anyhow::Context as _;
 use leadtime_config::Override;
 use leadtime_eval::measure::{Choice, PlaySettings, Player};
 use leadtime_eval::record_steps;
@@ -19,7 +16,7 @@ use super::opponent::opponents;
 use super::{episode, evaluation};
 use crate::cli::EvalArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::output::{self, DRAW, HEAR};
+use crate::output::{self, DRAW, GrowingFile, HEAR};
 
 pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     args.acting.choosing.worker.permit(tasks, &args.policy);
@@ -32,8 +29,9 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
             return truth::run(tasks, args, &task);
         }
         let kept_in = args.save.then(|| task.run()).transpose()?;
-        // Opened first: a path that cannot be written is reported before an hour's work.
-        let steps = args.episodes_to.as_deref().map(StepsFile::open).transpose()?;
+        // First: a path that cannot be written is reported before an hour's work.
+        let steps = args.episodes_to.as_deref();
+        steps.map_or(Ok(()), output::check_file).blame(ExitCode::WrongInput)?;
         let record = task.evaluate(tasks, args)?;
         // Printed first: a file that cannot be written must not cost the results.
         if args.shown.json {
@@ -44,8 +42,8 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         if let Some(run) = kept_in {
             evaluation::save(&record, run, &task.policy.config).blame(ExitCode::WrongInput)?;
         }
-        if let Some(steps) = steps {
-            task.record_steps(tasks, args, steps)?;
+        if let Some(path) = steps {
+            task.record_steps(tasks, args, path)?;
         }
         if !args.shown.json {
             let is_spoken = !tasks.topics(&task.policy.config.evaluation.task).is_empty();
@@ -73,33 +71,6 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         output::next(&task.policy.path, &[DRAW]);
     }
     Ok(())
-}
-
-/// The file of every step.
-struct StepsFile<'a> {
-    path: &'a Path,
-    file: File,
-}
-
-impl<'a> StepsFile<'a> {
-    /// Opens the file; what an earlier evaluation wrote stays until [`Self::empty`].
-    fn open(path: &'a Path) -> Result<Self, Failure> {
-        let file = OpenOptions::new().write(true).create(true).truncate(false).open(path);
-        let file = file.with_context(|| format!("writing {}", path.display()));
-        Ok(Self { path, file: file.blame(ExitCode::WrongInput)? })
-    }
-
-    /// Drops what was written before. A device has no length to set.
-    fn empty(&self) {
-        drop(self.file.set_len(0));
-    }
-
-    fn write(&mut self, lines: &str) -> Result<(), Failure> {
-        let written = self.file.write_all(lines.as_bytes());
-        written
-            .with_context(|| format!("writing {}", self.path.display()))
-            .blame(ExitCode::WrongInput)
-    }
 }
 
 /// A policy, the task that it is evaluated in, and every player.
@@ -131,18 +102,15 @@ impl EvalTask {
     }
 
     /// Writes every step of the policy's episodes.
-    fn record_steps(
-        &self,
-        tasks: &Tasks,
-        args: &EvalArgs,
-        mut steps: StepsFile<'_>,
-    ) -> Result<(), Failure> {
-        steps.empty();
+    fn record_steps(&self, tasks: &Tasks, args: &EvalArgs, path: &Path) -> Result<(), Failure> {
+        let mut steps = GrowingFile::begin(path).blame(ExitCode::WrongInput)?;
         let make = || tasks.registry.build(&self.policy.config.evaluation.task);
         let n_episodes = u64::from(self.n_episodes(args));
         let settings = PlaySettings::new(n_episodes, args.acting.choosing.eval_seed);
         let settings = settings.threads(n_threads());
-        record_steps(&make, &self.players[0], &settings, |lines: &str| steps.write(lines))
+        let add = |lines: &str| steps.add(lines).blame(ExitCode::WrongInput);
+        record_steps(&make, &self.players[0], &settings, add)?;
+        steps.end().blame(ExitCode::WrongInput)
     }
 
     fn n_episodes(&self, args: &EvalArgs) -> u32 {

@@ -60,7 +60,7 @@ fn measure(
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }
 
-/// Returns the setting of the person's delay, as the episodes have it.
+/// Returns the setting of the listener's delay, as the episodes have it.
 fn reaction_delay(loaded: &LoadedPolicy) -> Value {
     let settings = serde_json::from_str::<Value>(&loaded.config.evaluation.task.settings);
     settings.unwrap_or_default()["human"]["reaction_delay"].take()

@@ -102,7 +102,7 @@ struct ReplayPace {
 }
 
 impl ReplayPace {
-    /// Replays a stretch.
+    /// Replays a stretch at this pace, until it ends or the command is stopped.
     fn replay(
         &self,
         stretch: &Stretch,

@@ -1,6 +1,7 @@
 //! `leadtime report`: the page of a run with an evaluation of its policy, or of several runs side by side.
 
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use leadtime_runs::findings::{EvaluationRequest, Findings, evaluate_run, evaluate_runs};
 use leadtime_runs::report::report;
@@ -23,19 +24,23 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
     let policies = directories.iter().map(load);
     let policies: Vec<LoadedPolicy> =
         policies.collect::<Result<_, _>>().blame(ExitCode::WrongInput)?;
+    // First: what is in the way is reported before the episodes are played.
+    let page = match (&directories[..], &args.out) {
+        (_, Some(out)) => out.clone(),
+        ([run], None) => own_page(run).blame(ExitCode::WrongInput)?,
+        _ => return Err(Failure::input("several runs: --out FILE says where their page goes")),
+    };
     let request = EvaluationRequest { episodes: args.episodes, action: *action, seed: *eval_seed };
-    let (page, findings) = match (&files[..], &policies[..], &args.out) {
-        ([run], [policy], out) => {
+    let findings = match (&files[..], &policies[..]) {
+        ([run], [policy]) => {
             let evaluated = evaluate_run(tasks, run, policy, &request)?;
-            if out.is_none() {
+            if args.out.is_none() {
                 let saved = evaluation::save(&evaluated.record, &run.directory, &policy.config);
                 saved.blame(ExitCode::WrongInput)?;
             }
-            let page = out.clone().unwrap_or_else(|| run.directory.join(REPORT_PAGE));
-            (page, evaluated.findings)
+            evaluated.findings
         }
-        (_, _, Some(out)) => (out.clone(), evaluate_runs(tasks, &files, &policies, &request)?),
-        _ => return Err(Failure::input("several runs: --out FILE says where their page goes")),
+        _ => evaluate_runs(tasks, &files, &policies, &request)?,
     };
     let text = findings.comparison.as_ref().map(|found| found.text(false)).unwrap_or_default();
     let html = report(tasks, &files, findings, &output::program()).html();
@@ -47,6 +52,14 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
 
 /// Writes the page of a run into its directory.
 pub(super) fn write(tasks: &Tasks, run: RunFiles, findings: Findings) -> anyhow::Result<()> {
-    let page = run.directory.join(REPORT_PAGE);
+    let page = own_page(&run.directory)?;
     output::file(&page, report(tasks, &[run], findings, &output::program()).html().as_bytes())
+}
+
+/// Returns where the page of a run goes. In the place of a run's own file a pipe is a mistake: nobody waits for its reader.
+fn own_page(run: &Path) -> anyhow::Result<PathBuf> {
+    let page = run.join(REPORT_PAGE);
+    let is_other = fs::metadata(&page).is_ok_and(|found| !found.is_file());
+    anyhow::ensure!(!is_other, "{} is not a file: move it away", page.display());
+    Ok(page)
 }

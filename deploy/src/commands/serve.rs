@@ -11,7 +11,7 @@ use leadtime_link::ListenSettings;
 use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
-use leadtime_runs::{LoadedPolicy, Tasks, clock, write_atomically};
+use leadtime_runs::{LoadedPolicy, Tasks, clock, regular, write_atomically};
 use leadtime_serve::{
     LiveService, MAX_SESSIONS, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore,
     WorkingPolicy,
@@ -263,7 +263,7 @@ impl StateStore for StateDirectory {
 
     fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
         let file = self.file(client);
-        let read = fs::read(&file);
+        let read = regular::read(&file);
         if let Err(error) = &read
             && error.kind() != ErrorKind::NotFound
         {

@@ -137,7 +137,7 @@ fn one_actor_feeds_one_update() {
 }
 
 #[test]
-fn who_answers_no_order_gets_no_environment() {
+fn an_actor_that_answers_no_order_gets_no_environment() {
     let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
     c.take_effects();
     c.hello(&hello("ghost", 0, 1)).unwrap();
@@ -176,7 +176,7 @@ fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
 }
 
 #[test]
-fn who_may_send_half_a_window_is_credited_with_others_or_when_the_clock_ticks() {
+fn an_actor_with_half_a_window_left_is_credited_with_others_or_at_the_next_tick() {
     let mut c = coordinator(1, Schedule::Lag(9), &["a"]);
     assert_eq!(credits(&mut c), [(0, 4)]);
     let arrives = |c: &mut Coordinator, n: u64| {
@@ -197,7 +197,7 @@ fn who_may_send_half_a_window_is_credited_with_others_or_when_the_clock_ticks() 
 }
 
 #[test]
-fn who_leaves_is_replaced_from_the_newest_snapshot_and_heard_no_more() {
+fn an_actor_that_leaves_is_replaced_from_the_newest_snapshot_and_no_longer_heard() {
     let mut c = coordinator(2, Schedule::Lag(1), &["a"]);
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
     join(&mut c, "b");
@@ -292,7 +292,7 @@ fn by_link(cause: RefusalCause, start: Option<u64>) -> Refusal {
 }
 
 #[test]
-fn only_what_carries_a_members_own_start_is_held_against_it() {
+fn only_messages_with_a_members_own_start_are_held_against_it() {
     use RefusalCause as Cause;
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     for _ in 0..2 * limits::REFUSALS_BEFORE_CUT_OFF {
@@ -461,7 +461,7 @@ fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credi
 }
 
 #[test]
-fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
+fn rollouts_lost_with_a_killed_learner_are_counted_once_and_have_a_limit() {
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let (lost, kept) = (MAX_LOST + 1, MAX_UNACKNOWLEDGED + 1);
     // Two that are too much, and three that contradict themselves.
@@ -479,7 +479,7 @@ fn what_one_killed_learner_took_with_it_is_told_once_and_has_a_limit() {
 }
 
 #[test]
-fn what_the_actor_of_another_learner_says_to_both_is_no_loss_of_this_one() {
+fn hellos_of_another_learners_actor_count_as_no_loss_here() {
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     for acknowledged in 1..=50 {
         let said = c.hello(&hello("a", acknowledged + 2, acknowledged + 1));
@@ -735,7 +735,7 @@ fn a_snapshot_of_a_checkpoint_that_the_only_actor_cannot_restore_becomes_a_fresh
 }
 
 #[test]
-fn who_cannot_restore_what_another_actor_can_is_the_one_at_fault() {
+fn an_actor_that_cannot_restore_what_another_can_is_at_fault() {
     let mut c = coordinator(2, Schedule::Lag(0), &["good", "stale"]);
     cannot_restore(&mut c, "stale", 1);
     c.take_effects();
@@ -760,7 +760,7 @@ fn a_checkpoint_during_an_update_holds_what_was_before_it() {
 }
 
 #[test]
-fn however_many_are_lost_together_their_environments_are_given_once() {
+fn environments_of_actors_lost_together_are_given_once() {
     let mut c = coordinator(4, Schedule::Lag(0), &["a", "b", "c", "d"]);
     c.take_effects();
     for name in ["a", "b", "c"] {
@@ -780,7 +780,7 @@ fn however_many_are_lost_together_their_environments_are_given_once() {
 }
 
 #[test]
-fn who_was_lost_is_a_member_again_when_it_has_said_hello() {
+fn a_lost_actor_is_a_member_again_after_another_hello() {
     let mut c = coordinator(2, Schedule::Lag(0), &["a", "b"]);
     c.take_effects();
     c.left(actor("a"), Incarnation(1));
@@ -822,7 +822,7 @@ fn an_order_that_was_not_acknowledged_before_a_loss_does_not_end_the_next_member
 }
 
 #[test]
-fn who_follows_somebody_elses_order_gets_its_environments_anew_under_a_number_beyond() {
+fn an_actor_on_a_foreign_assignment_gets_its_environments_anew_under_a_higher_number() {
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     let key = (actor("a"), Incarnation(1));
     let first = membership(&mut c);
@@ -842,7 +842,7 @@ fn who_follows_somebody_elses_order_gets_its_environments_anew_under_a_number_be
 }
 
 #[test]
-fn who_was_told_a_number_that_nothing_goes_beyond_has_to_say_hello_again() {
+fn an_actor_told_the_highest_number_has_to_say_hello_again() {
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     let key = (actor("a"), Incarnation(1));
     let first = membership(&mut c);
@@ -857,7 +857,7 @@ fn who_was_told_a_number_that_nothing_goes_beyond_has_to_say_hello_again() {
 }
 
 #[test]
-fn who_goes_astray_again_and_again_is_given_up() {
+fn an_actor_that_goes_astray_again_and_again_is_given_up() {
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     let key = (actor("a"), Incarnation(1));
     let first = membership(&mut c);

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::settings::{DelayDraw, MAX_REACTION_DELAY, ReactionDelay};
 
-/// A person's reaction delay in one episode: what was drawn at its start, and the stream for what is drawn later.
+/// A listener's reaction delay in one episode: what was drawn at its start, and the stream for what is drawn later.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct DelaySource {
     generator: Pcg64,

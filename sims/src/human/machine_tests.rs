@@ -178,7 +178,7 @@ fn c6_l3_an_informative_message_leaves_no_reaction_and_works_when_it_is_delivere
 }
 
 #[test]
-fn what_comes_next_is_known_before_the_step() {
+fn the_coming_reaction_is_known_before_the_step() {
     let mut human = human(&undelayed());
     let mut coming = |act| {
         step(&mut human, act);

@@ -151,7 +151,7 @@ fn a_message_changes_the_world_k_plus_delay_later_and_costs_once() {
 }
 
 #[test]
-fn a_world_that_ends_a_reaction_gets_its_person_back_and_so_does_a_delivery_that_discloses() {
+fn a_world_that_ends_a_reaction_gets_its_listener_back_and_so_does_a_delivery_that_discloses() {
     let (mut env, actions) = (undelayed_env(), only::<9>([1, 0, 0, 2]));
     // "back" from 4 for four steps, but the wall at 0 is met only if it takes longer: 4, then 3, 2, 1, 0.
     assert_eq!(play(&mut env, 2, &actions).0, [3, 4, 3, 2, 1, 0, 1, 2, 3]);
@@ -333,7 +333,7 @@ fn an_insight_tells_the_delay_and_when_a_reaction_begins() {
         begun.extend(insight.reaction_began.then_some(t));
     }
     assert_eq!(begun, [4]);
-    // At the wall the same reaction is refused: the person does nothing of what is asked for.
+    // At the wall the same reaction is refused: the listener does nothing of what is asked for.
     let mut observation = reset(&mut env);
     env.domain.place = WALL;
     for action in &actions {

@@ -16,9 +16,9 @@ const OBSERVATION_BOUND: f64 = 1e-6;
 pub struct Errors {
     /// Of a coordinate, in metres.
     pub position: f64,
-    /// In radians.
+    /// Of a heading, in radians.
     pub heading: f64,
-    /// In m/s.
+    /// Of a speed, in m/s.
     pub speed: f64,
     /// Of a commanded acceleration (m/s²) or steering angle (radians).
     pub command: f64,
@@ -41,7 +41,7 @@ pub struct ScenarioReport {
     pub n_states: usize,
     /// Number of compared decisions.
     pub n_decisions: usize,
-    /// Largest differences.
+    /// The largest differences of any of them.
     pub errors: Errors,
     /// Lanes, target lanes, crash flags, ends and speed places that differ.
     pub n_mismatches: usize,

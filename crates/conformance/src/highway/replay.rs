@@ -257,7 +257,7 @@ fn compare_collisions(cases: &[CollisionCase]) -> ScenarioReport {
 
 fn compare_idm(cases: &[IdmCase]) -> Result<ScenarioReport, ReplayError> {
     let mut report = ScenarioReport::new("unit_idm");
-    let lane = LaneSettings::new(["0", "1"], [0.0, 0.0], [2000.0, 0.0]);
+    let lane = LaneSettings::new("0", "1", [0.0, 0.0], [2000.0, 0.0]);
     let lanes = vec![LaneSettings { speed_limit: 30.0, ..lane }];
     let settings = RoadSettings { lanes, ramps: Vec::new(), obstacles: Vec::new() };
     let road = build("unit_idm", &settings, Lookup::Segment)?;

@@ -99,7 +99,7 @@ impl LaneRow {
             Wave { amplitude, pulsation, phase }
         });
         let &Self { width, speed_limit, forbidden, .. } = self;
-        let lane = LaneSettings::new([&self.from, &self.to], self.start, self.end);
+        let lane = LaneSettings::new(&self.from, &self.to, self.start, self.end);
         LaneSettings { width, speed_limit, forbidden, wave, ..lane }
     }
 }

@@ -9,7 +9,7 @@ use crate::section::Section;
 /// One recording and what became of it here.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct RecordingReport {
-    /// Its name.
+    /// The name of the recording.
     pub name: String,
     /// Number of steps, interactions or views.
     pub n_compared: usize,
@@ -22,9 +22,9 @@ pub struct RecordingReport {
 /// What a replay found.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SteakhouseReport {
-    /// What recorded it.
+    /// What recorded it: a repository at a commit, or our own cook.
     pub source: String,
-    /// By recording.
+    /// What became of each recording.
     pub comparisons: Vec<RecordingReport>,
     /// Whether nothing differs.
     pub passed: bool,

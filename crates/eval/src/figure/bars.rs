@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn bars_survive_nothing_and_time_that_is_no_number() {
+    fn bars_survive_empty_data_and_a_time_that_is_not_a_number() {
         let rasterizer = Rasterizer::new();
         rasterizer.png(&histogram("h", "t", "x", &BTreeMap::new()).text, 1.0).unwrap();
         rasterizer.png(&shares("s", "t", &[]).text, 1.0).unwrap();

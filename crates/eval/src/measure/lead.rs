@@ -29,7 +29,7 @@ pub fn with_lead_times(evaluation: Evaluation, unaided: &Evaluation) -> Evaluati
     }
 }
 
-/// Computes, per episode, the steps from a player's first message to the hazard of the unaided person in the same
+/// Computes, per episode, the steps from a player's first message to the hazard of the unaided listener in the same
 /// episode; negative if the message came later, NaN where there was no message or no hazard.
 ///
 /// `None` if the task knows no such metrics, or if the two played other episodes.

@@ -6,9 +6,9 @@
 
 use super::evaluation::Evaluation;
 
-/// Name of the share averted, of the episodes in which the unaided person fails.
+/// Name of the share averted, of the episodes in which the unaided listener fails.
 pub(super) const AVERTED: &str = "averted";
-/// Name of the share harmed, of the episodes in which the unaided person succeeds.
+/// Name of the share harmed, of the episodes in which the unaided listener succeeds.
 pub(super) const HARMED: &str = "harmed";
 const SUCCESS: &str = "success";
 /// What every task with a listener counts.
@@ -19,7 +19,7 @@ pub(super) fn is_known(metrics: &[String]) -> bool {
     [SUCCESS, NOTIFICATIONS].iter().all(|name| metrics.iter().any(|metric| metric == name))
 }
 
-/// Adds to an evaluation whether a hazard was averted or harm done, by what the unaided person did in the same episodes.
+/// Adds to an evaluation whether a hazard was averted or harm done, by what the unaided listener did in the same episodes.
 ///
 /// A task without success or without a listener, and episodes of another seed, leave the evaluation as it is.
 pub fn with_outcomes(evaluation: Evaluation, unaided: &Evaluation) -> Evaluation {
@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn success_is_split_by_what_the_person_does_alone() {
+    fn success_is_split_by_what_the_listener_does_alone() {
         let alone = evaluation(&[0.0, 0.0, 0.0, 0.0, 1.0]);
         let split = with_outcomes(evaluation(&[1.0, 1.0, 1.0, 0.0, 0.0]), &alone);
         let summary = Summary::new(&split, &Bootstrap::new(1));

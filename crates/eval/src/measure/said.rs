@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_counted_before_and_after_the_hazard_and_what_is_undefined_is_no_number() {
+    fn messages_are_counted_before_and_after_the_hazard_and_undefined_rates_are_not_numbers() {
         let utterances = [said(2, 2), said(8, 3), said(25, 5)];
         assert_eq!(row(&utterances, 60, 20), [2.0, 4.0, 0.1, 0.025]);
         assert!(row(&[], 60, 20)[..2].iter().all(|value| value.is_nan()));

@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn the_most_telling_measures_come_first_and_none_twice() {
+    fn the_most_telling_measures_come_first_and_each_comes_once() {
         let expected = "success notifications followed_of_initiated followed_of_comprehended return length \
                         comprehended mean_k";
         assert_eq!(names_in([&summary()]).join(" "), expected);
@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn a_share_of_all_or_none_has_an_interval_with_width_and_a_count_has_none() {
+    fn a_share_of_0_or_1_has_an_interval_with_width_and_a_count_does_not() {
         let silent = evaluation(&[[1.0, 0.0, 0.0, 0.0, 0.0]; 3]);
         let summary = Summary::new(&silent, &Bootstrap::new(3));
         let interval = |name: &str| summary.get(name).unwrap().interval.unwrap();

@@ -105,7 +105,7 @@ mod tests {
             "\u{201c}Go down, all stations occupied\u{201d}",
             "thinks empty",
             "last step: move down as told",
-            "what the person sees",
+            "what the listener sees",
             "believed otherwise",
         ] {
             assert!(svg.contains(text), "{text}");

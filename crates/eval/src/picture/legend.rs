@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_does_not_fit_goes_to_another_line_and_needs_its_height() {
+    fn a_legend_entry_that_does_not_fit_takes_another_line_and_its_height() {
         let entries = Activity::ALL.map(LegendEntry::activity);
         let whole: f64 = entries.iter().map(LegendEntry::width).sum::<f64>() - GAP;
         assert_eq!(Legend::new(entries, whole + 0.1).extra_height(), 0.0);

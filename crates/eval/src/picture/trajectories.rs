@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_empty_can_be_drawn() {
+    fn empty_trajectories_can_be_drawn() {
         let nobody = [TrajectoryPanel { title: "nobody".to_owned(), trajectories: Vec::new() }];
         for panels in [&nobody[..], &[]] {
             for svg in [trajectories("t", "t", panels).text, maps("m", "m", panels).text] {

@@ -113,7 +113,7 @@ mod tests {
     use crate::playthrough::{Playthrough, Spoken, Voice, synthetic};
 
     #[test]
-    fn in_every_world_all_texts_can_be_read_and_none_lies_on_another() {
+    fn all_texts_of_every_world_can_be_read_and_do_not_overlap() {
         let registry = leadtime_worlds::builtin();
         for domain in ["lander", "highway", "steakhouse"] {
             let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };

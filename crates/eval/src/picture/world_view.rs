@@ -246,7 +246,7 @@ pub(super) fn areas(scenes: &[Scene]) -> impl Iterator<Item = LegendEntry> {
     let meanings = [
         (Tone::Danger, "danger"),
         (Tone::Mistaken, "believed otherwise"),
-        (Tone::Hint, "what the person sees"),
+        (Tone::Hint, "what the listener sees"),
         (Tone::Goal, "goal"),
     ];
     let shown = |tone| scenes.iter().any(|scene| has_area(scene, tone));

@@ -78,7 +78,7 @@ impl<'a> Scorer<'a> {
             && seen.iter().chain(&unseen).all(|sample| sample.delay == delay)
         {
             return Err(Error::Probe(format!(
-                "the person's reaction delay is {delay} in every episode, so there is nothing to be found out; let it \
+                "the listener's reaction delay is {delay} in every episode, so there is nothing to be found out; let it \
                  vary, as with --set 'human.reaction_delay={{uniform={{low=0,high=5,drawn=\"per_episode\"}}}}'"
             )));
         }

@@ -113,7 +113,7 @@ fn what_cannot_be_known_is_said_in_one_sentence() {
         refuse(&make, &player(), 40)
     };
     let text = of_world(|world| world.most = 0);
-    assert!(text.starts_with("the person's reaction delay is 0 in every episode"), "{text}");
+    assert!(text.starts_with("the listener's reaction delay is 0 in every episode"), "{text}");
     assert!(text.contains("{uniform={low=0,high=5,drawn=\"per_episode\"}}"), "{text}");
     assert!(of_world(|world| world.fickle = true).contains("for every message"));
     let text = refuse(&make(Revealed::Nothing), &player(), 39);

@@ -41,7 +41,7 @@ pub enum LiveMessage {
     ServiceGone(Incarnation),
 }
 
-/// A client's connection.
+/// The connection of a client with a notifier at work.
 #[derive(Debug)]
 pub struct LiveClientLink {
     settings: ConnectSettings,

@@ -14,7 +14,7 @@ const ALIVE: &str = "alive";
 const OPEN: &str = "open";
 const SESSION: &str = "session";
 
-/// One key.
+/// A key of a notifier at work, as its parts; displayed it is the text that the network knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LiveKey<'a> {
     /// Presence of one start of a notifier.
@@ -107,7 +107,7 @@ pub struct LiveAlive {
     pub service: ServiceName,
     /// The client; `None` for the notifier itself.
     pub client: Option<ClientName>,
-    /// Its start.
+    /// Which start of it is alive.
     pub incarnation: Incarnation,
 }
 

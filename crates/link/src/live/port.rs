@@ -30,7 +30,7 @@ const RAW: &str = "leadtime.obs/1";
 pub enum ArrivalEncoding {
     /// JSON; also what says nothing.
     Json,
-    /// `application/octet-stream;leadtime.obs/1`.
+    /// Numbers as bytes: `application/octet-stream;leadtime.obs/1`.
     Binary,
     /// Something else, as it is called.
     Other(String),
@@ -41,7 +41,7 @@ pub enum ArrivalEncoding {
 /// An observation as it arrived.
 #[derive(Debug)]
 pub struct Arrival {
-    /// When.
+    /// When it arrived.
     pub at: Instant,
     encoding: Encoding,
     payload: ZBytes,
@@ -88,7 +88,7 @@ impl Arrival {
         }
     }
 
-    /// Returns its bytes.
+    /// Returns the bytes that were published.
     pub fn payload(&self) -> Cow<'_, [u8]> {
         self.payload.to_bytes()
     }

@@ -20,9 +20,9 @@ const MAX_SAMPLES: usize = 65_536;
 /// A message about a client, as it was published.
 #[derive(Debug)]
 pub struct LiveSample {
-    /// The client.
+    /// The client that the message is about.
     pub client: ClientName,
-    /// What it is.
+    /// What of the client it tells.
     pub topic: LiveTopic,
     /// Its form, its bytes, and when it arrived here.
     pub arrival: Arrival,

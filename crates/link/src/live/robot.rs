@@ -101,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robots_key_is_one_key_and_none_of_ours() {
+    fn a_robots_key_is_a_single_key_outside_our_own() {
         let keys = |observations: &str, say: Option<&str>| RobotKeys {
             observations: observations.to_owned(),
             say: say.map(str::to_owned),

@@ -27,9 +27,9 @@ const N_ANSWERERS: usize = 1;
 pub enum LiveEvent {
     /// A client asks for a session.
     Open {
-        /// Its name.
+        /// The name of the client.
         client: ClientName,
-        /// Its question, JSON.
+        /// What the client asks for, as JSON.
         question: Vec<u8>,
         /// The way to the answer.
         responder: OpenResponder,

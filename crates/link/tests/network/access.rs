@@ -325,8 +325,7 @@ async fn rollouts_are_read_by_recorders_alone(guarded: &Guarded) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_learner_whose_run_another_one_leads_does_not_start_and_one_that_was_killed_is_no_other()
-{
+async fn a_second_learner_of_a_run_does_not_start_and_a_killed_one_does_not_count_as_the_first() {
     let guarded = Guarded::new(true).await;
     let (one, next) = (run("one"), StartKey::numbered(101));
     let settings = dial(&guarded.pki, "l2", &guarded.endpoint);

@@ -106,7 +106,7 @@ async fn told(identity: Identity, endpoint: &Endpoint) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_is_refused_at_the_handshake_is_told_why() {
+async fn a_process_refused_at_the_handshake_is_told_why() {
     let (ours, theirs) = (Pki::new(), Pki::new());
     ours.issue(Role::Learner, "l1");
     ours.issue(Role::Actor, "a1");

@@ -39,7 +39,7 @@ async fn an_actor_may_be_there_before_its_learner() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_several_runs_at_one_address_one_has_to_be_named() {
+async fn one_of_several_runs_at_an_address_has_to_be_named() {
     let site = Site::new();
     let _router = site.raw("router").await;
     let through =

@@ -66,7 +66,7 @@ async fn an_order_is_acknowledged_or_ends_in_time() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_answer_that_somebody_kept_is_none_to_a_later_order() {
+async fn a_stored_answer_does_not_answer_a_later_order() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let (_actor, actor_events) = site.welcomed("a", &events).await;

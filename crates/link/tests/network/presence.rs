@@ -85,7 +85,7 @@ async fn actors_outlive_their_learner_and_greet_the_next_one() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_answers_a_hello_faster_does_not_take_an_actor_from_its_learner() {
+async fn a_faster_answer_to_a_hello_does_not_take_an_actor_from_its_learner() {
     let site = Site::new();
     let (_learner, events) = site.learner().await;
     let (actor, actor_events) = site.welcomed("a", &events).await;

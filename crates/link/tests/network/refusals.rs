@@ -37,7 +37,7 @@ async fn refused(events: &LearnerEvents) -> (Option<ActorId>, Refusal) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_rollout_is_refused_with_its_cause_before_it_is_read() {
+async fn a_message_that_is_not_a_rollout_is_refused_with_its_cause_before_it_is_read() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let intruder = site.raw("client").await;
@@ -190,7 +190,7 @@ async fn an_actor_that_is_cut_off_is_only_counted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_hello_that_is_none_or_of_another_release_is_answered_and_counted() {
+async fn a_malformed_hello_or_one_of_another_release_is_answered_and_counted() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let intruder = site.raw("client").await;

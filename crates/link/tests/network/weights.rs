@@ -68,7 +68,7 @@ fn header(payload: &[u8]) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_another_answers_to_a_pull_is_not_taken_for_the_learners() {
+async fn an_answer_of_another_process_to_a_pull_is_not_taken_for_the_learners() {
     let site = Site::new();
     let (learner, events) = site.learner().await;
     let (actor, _actor_events) = site.welcomed("a", &events).await;

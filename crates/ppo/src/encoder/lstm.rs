@@ -80,7 +80,7 @@ struct SequenceGroup {
 /// What one step of a group leaves behind.
 #[derive(Debug, Default)]
 struct LstmStepMemory {
-    /// `[n, D]`
+    /// What the step saw. `[n, D]`
     observations: Panels,
     /// `[n, P]`, or empty
     projected: Panels,
@@ -100,13 +100,13 @@ struct LstmStepMemory {
 /// A group's part of a minibatch.
 struct GroupTask<'a> {
     group: &'a mut SequenceGroup,
-    /// `[n, T]`
+    /// The sample of every step. `[n, T]`
     samples: &'a [usize],
-    /// `[n, 2 H]`
+    /// Hidden and cell states before the first step. `[n, 2 H]`
     states: &'a [f32],
-    /// `[n, T]`
+    /// Whether an episode begins with a step. `[n, T]`
     resets: &'a [bool],
-    /// `[n, T, H]`
+    /// Hidden states after every step. `[n, T, H]`
     out: &'a mut [f32],
 }
 
@@ -301,7 +301,7 @@ impl SequenceGroup {
         self.zeros.resize(weights.width, 0.0);
     }
 
-    /// Takes observations in.
+    /// Copies the observations of every step to where the products read them.
     fn load(
         &mut self,
         weights: &LstmWeights,

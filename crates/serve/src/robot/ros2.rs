@@ -22,15 +22,22 @@ use std::fmt;
 use leadtime_proto::text::quoted;
 use thiserror::Error;
 
-/// The types of the messages, as keys name them, with the hash of their definition.
-const ARRAY: [&str; 2] = [
-    "std_msgs::msg::dds_::Float32MultiArray_",
-    "RIHS01_0599f6f85b4bfca379873a0b4375a0aca022156bd2d7021275d116ed1fa8bfe0",
-];
-const STRING: [&str; 2] = [
-    "std_msgs::msg::dds_::String_",
-    "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
-];
+/// The type of a message, as keys name it.
+#[derive(Clone, Copy)]
+struct MessageType {
+    name: &'static str,
+    /// The hash of its definition.
+    hash: &'static str,
+}
+
+const ARRAY: MessageType = MessageType {
+    name: "std_msgs::msg::dds_::Float32MultiArray_",
+    hash: "RIHS01_0599f6f85b4bfca379873a0b4375a0aca022156bd2d7021275d116ed1fa8bfe0",
+};
+const STRING: MessageType = MessageType {
+    name: "std_msgs::msg::dds_::String_",
+    hash: "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18",
+};
 /// What Humble writes in place of a hash, which it does not know.
 const NO_HASH: &str = "TypeHashNotSupported";
 /// Reliable, volatile, the last ten; every other policy as it is by default.
@@ -110,10 +117,10 @@ impl Ros2Names {
             let Self { domain, node, .. } = self;
             format!("@ros2_lv/{domain}/{zid}/0/{number}/{kind}/%/%/{node}")
         };
-        let topic = |number, kind, name, [message, hash]: [&str; 2]| {
+        let topic = |number, kind, name, message: MessageType| {
             let topic = self.topic.replace('/', "%");
-            let (head, hash) = (head(number, kind), self.hash(hash));
-            format!("{head}/%{topic}%{name}/{message}/{hash}/{QOS}")
+            let (head, hash) = (head(number, kind), self.hash_of(message));
+            format!("{head}/%{topic}%{name}/{}/{hash}/{QOS}", message.name)
         };
         [
             head(0, "NN"),
@@ -123,13 +130,14 @@ impl Ros2Names {
         ]
     }
 
-    fn key(&self, name: &str, [message, hash]: [&str; 2]) -> String {
-        format!("{}/{}/{name}/{message}/{}", self.domain, self.topic, self.hash(hash))
+    fn key(&self, name: &str, message: MessageType) -> String {
+        let hash = self.hash_of(message);
+        format!("{}/{}/{name}/{}/{hash}", self.domain, self.topic, message.name)
     }
 
-    fn hash<'a>(&self, hash: &'a str) -> &'a str {
+    fn hash_of(&self, message: MessageType) -> &'static str {
         match self.distro {
-            Distro::Jazzy => hash,
+            Distro::Jazzy => message.hash,
             Distro::Humble => NO_HASH,
         }
     }
@@ -207,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_beside_a_message_crosses_and_nothing_else_is_taken_for_it() {
+    fn a_message_keeps_its_attachment_and_other_bytes_are_not_taken_for_one() {
         let gid = *b"0123456789abcdef";
         let mark = SourceMark { number: 17, time: 1_796_000_000_123_456_789, gid };
         let beside = mark.write();

@@ -226,7 +226,7 @@ fn reasons(built: &Built) -> Vec<(&str, Option<Reason>)> {
 }
 
 #[test]
-fn what_was_cut_off_and_what_cannot_be_read_is_counted() {
+fn truncated_and_unreadable_replies_are_counted() {
     let cut = Reply { finish: Finish::Length, ..Reply::complete("Slow down now.\nSlow do") };
     let replies = vec![cut, Reply::complete("Here you are:")];
     let model = Opinionated { replies, rate: |_, words| percent(words >= Some(2), 90, 10) };

@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_clear_at_once_is_clamped_and_what_never_is_is_refused() {
+    fn a_sentence_clear_at_once_is_clamped_and_one_that_never_is_clear_is_refused() {
         let clear = listen(&[90, 95], 70, 2, 20).unwrap();
         assert_eq!((clear.comprehension, clear.clamped), (2, true));
         assert_eq!(listen(&[10, 69], 70, 2, 20), Err(Reason::NeverUnderstood));

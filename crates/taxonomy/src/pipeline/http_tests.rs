@@ -54,7 +54,7 @@ fn a_run_survives_a_server_that_misbehaves_and_pays_for_nothing_twice() {
     let directory = tempfile::tempdir().unwrap();
     let log = directory.path().join("calls.jsonl");
     let built = loop {
-        // Cut off every 25 calls, and taken up again.
+        // Cut off every 25 calls, and resumed.
         match job::run(&plan, job(&log, &server.url, Some(25))) {
             Ok((built, _)) => break built,
             Err(PipelineError::BudgetSpent { .. }) => {}

@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_cut_off_is_kept_apart() {
+    fn a_truncated_sentence_is_kept_apart() {
         for text in ["Go up.\nClimb no", "Go up.; Climb no", "[\"Go up.\", \"Climb no"] {
             let found = sentences(&Reply { finish: Finish::Length, ..reply(text) });
             assert_eq!(found.whole, ["Go up."], "{text}");

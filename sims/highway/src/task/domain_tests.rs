@@ -366,7 +366,7 @@ fn a_success_brakes_gently() {
 }
 
 #[test]
-fn who_is_asked_to_brake_gently_brakes_as_hard_as_needed_for_what_they_see() {
+fn a_driver_asked_to_brake_gently_brakes_as_hard_as_needed_for_what_they_see() {
     let mut task = on_the_right(|s| s.ego.braking = 3.0);
     let car = Vehicle::new(task.traffic.network(), [60.0, 4.0], 0.0, 20.0).with_idm(20.0);
     task.traffic.vehicles.push(car);
@@ -375,7 +375,7 @@ fn who_is_asked_to_brake_gently_brakes_as_hard_as_needed_for_what_they_see() {
 }
 
 #[test]
-fn what_a_success_does_not_allow_is_charged_when_it_happens() {
+fn a_violation_of_success_is_charged_when_it_happens() {
     let charged = |change: fn(&mut HighwayWorldSettings)| {
         let mut task = on_the_right(|s| {
             (s.arrive_within, s.hardest_braking) = (1.25, 4.5);

@@ -1,4 +1,4 @@
-//! What can be chosen about the road, the cars on it and the person who drives.
+//! What can be chosen about the road, the cars on it and the listener who drives.
 
 use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};

@@ -55,7 +55,7 @@ fn default_speed_limit() -> f64 {
 
 impl LaneSettings {
     /// Lays a lane with the defaults between two nodes.
-    pub fn new([from, to]: [&str; 2], start: [f64; 2], end: [f64; 2]) -> Self {
+    pub fn new(from: &str, to: &str, start: [f64; 2], end: [f64; 2]) -> Self {
         let (width, speed_limit) = (default_width(), default_speed_limit());
         let (from, to) = (from.to_owned(), to.to_owned());
         Self { from, to, start, end, width, speed_limit, forbidden: false, wave: None }
@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     fn lane(end: [f64; 2], wave: Option<Wave>) -> Lane {
-        Lane::new(&LaneSettings { wave, ..LaneSettings::new(["a", "b"], [10.0, 5.0], end) })
+        Lane::new(&LaneSettings { wave, ..LaneSettings::new("a", "b", [10.0, 5.0], end) })
     }
 
     #[test]

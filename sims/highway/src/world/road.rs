@@ -96,9 +96,9 @@ impl RoadSettings {
     pub fn merge() -> Self {
         let mut this = Self { lanes: Vec::new(), ramps: Vec::new(), obstacles: Vec::new() };
         for y in [0.0, 4.0] {
-            this.lanes.push(straight(["a", "b"], [0.0, 230.0], y));
-            this.lanes.push(straight(["b", "c"], [230.0, 310.0], y));
-            this.lanes.push(straight(["c", "d"], [310.0, 460.0], y));
+            this.lanes.push(straight("a", "b", [0.0, 230.0], y));
+            this.lanes.push(straight("b", "c", [230.0, 310.0], y));
+            this.lanes.push(straight("c", "d", [310.0, 460.0], y));
         }
         this.push_ramp(["j", "k", "b", "c"], 230.0, Side::Right, 20.0);
         this
@@ -151,7 +151,7 @@ impl RoadSettings {
 
     fn push_carriageway(&mut self, node: usize, ends: [f64; 2]) {
         for y in [0.0, 4.0] {
-            let lane = straight([&m(node), &m(node + 1)], ends, y);
+            let lane = straight(&m(node), &m(node + 1), ends, y);
             self.lanes.push(LaneSettings { speed_limit: LIMIT, ..lane });
         }
     }
@@ -168,9 +168,9 @@ impl RoadSettings {
         let from = converges_from - approach;
         let far = y + outwards * 2.0 * SWING;
         let mut own = [
-            straight([nodes[0], nodes[1]], [from, converges_from], far),
-            straight([nodes[1], nodes[2]], [converges_from, merge_x], y + outwards * SWING),
-            straight([nodes[2], nodes[3]], [merge_x, merge_x + parallel], y),
+            straight(nodes[0], nodes[1], [from, converges_from], far),
+            straight(nodes[1], nodes[2], [converges_from, merge_x], y + outwards * SWING),
+            straight(nodes[2], nodes[3], [merge_x, merge_x + parallel], y),
         ];
         let (pulsation, phase) = (PI / converging, outwards * FRAC_PI_2);
         own[1].wave = Some(Wave { amplitude: SWING, pulsation, phase });
@@ -222,8 +222,8 @@ fn m(node: usize) -> String {
     format!("m{node}")
 }
 
-fn straight(nodes: [&str; 2], [x0, x1]: [f64; 2], y: f64) -> LaneSettings {
-    LaneSettings::new(nodes, [x0, y], [x1, y])
+fn straight(from: &str, to: &str, [x0, x1]: [f64; 2], y: f64) -> LaneSettings {
+    LaneSettings::new(from, to, [x0, y], [x1, y])
 }
 
 fn check_lane(lane: &LaneSettings) -> Result<(), SettingError> {

@@ -11,7 +11,7 @@ const PASSED: f64 = 20.0;
 const EGO: usize = 0;
 const SLOW_DOWN: usize = 0;
 
-/// How episodes ended.
+/// How many episodes ended how.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Safety {
     pub n_episodes: u32,

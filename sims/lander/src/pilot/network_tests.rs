@@ -87,7 +87,7 @@ fn a_normalizer_in_the_file_is_applied() {
 }
 
 #[test]
-fn what_is_no_pilot_is_named() {
+fn a_file_that_is_not_a_pilot_is_named() {
     let refused = |bytes: &[u8]| Pilot::from_safetensors(bytes).unwrap_err().to_string();
     assert_eq!(refused(b"nothing"), "pilot weights cannot be read");
     let mut tensors = seeded(1);

@@ -69,6 +69,27 @@ fn a_landing_pays_its_reward_less_the_fuel() {
     assert!(landings.count() >= 12);
 }
 
+/// Checkpoints are planned with this bound before a run begins.
+#[test]
+fn a_snapshot_on_the_ground_is_much_larger_than_twice_one_in_the_air_and_within_the_margin() {
+    let n_bytes = |task: &LanderDomain| {
+        let mut snapshot = Vec::new();
+        task.snapshot(&mut snapshot);
+        snapshot.len()
+    };
+    let (mut in_the_air, mut largest) = (0, 0);
+    for episode in 0..20 {
+        let mut task = start(&settings(|_| {}), episode);
+        in_the_air = in_the_air.max(n_bytes(&task));
+        while task.advance(None).end.is_none() {
+            largest = largest.max(n_bytes(&task));
+        }
+    }
+    assert!(largest > 4 * in_the_air, "{in_the_air} bytes in the air, {largest} on the ground");
+    let bound = 2 * in_the_air + SNAPSHOT_MARGIN;
+    assert!(largest <= bound, "{largest} bytes, {bound} planned");
+}
+
 #[test]
 fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
     let mut task = start(&settings(|s| s.zones = vec![SKY]), 0);
@@ -90,7 +111,7 @@ fn entering_a_zone_ends_the_episode_or_costs_per_step_or_once() {
 }
 
 #[test]
-fn a_landing_after_a_zone_is_no_success() {
+fn a_landing_after_a_zone_is_not_a_success() {
     let settings = settings(|s| (s.zones, s.zone_ends_episode) = (vec![SKY], false));
     let landed = (0..20).find_map(|episode| {
         let mut task = start(&settings, episode);

@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_listens_near_or_on_the_ground() {
+    fn the_listener_does_not_react_near_or_on_the_ground() {
         assert!(listens(&[0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
         assert!(!listens(&[0.0, 0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
         assert!(!listens(&[0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0]));

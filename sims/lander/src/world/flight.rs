@@ -26,7 +26,7 @@ const LEG_CREEP: f64 = 8.0e-4;
 pub(super) struct Flight {
     /// Common centre of mass.
     center: Vec2,
-    /// Its velocity.
+    /// Velocity of the centre of mass.
     velocity: Vec2,
     /// Angular momentum about it.
     angular_momentum: f64,

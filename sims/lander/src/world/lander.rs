@@ -53,7 +53,7 @@ pub struct Frame {
 /// Which physics moves the lander at the moment.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 enum Integrator {
-    /// Free flight.
+    /// Exact free flight, clear of the ground.
     Flight(Flight),
     /// The contact world, for so many frames clear of the ground.
     Contact { clear_frames: u32 },

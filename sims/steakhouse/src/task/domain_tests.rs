@@ -147,7 +147,7 @@ fn a_message_discloses_if_it_is_long_enough() {
 }
 
 #[test]
-fn informing_leaves_no_reaction_and_displaces_none() {
+fn informing_neither_starts_nor_displaces_a_reaction() {
     let delay = |human: &mut HumanSettings| {
         human.reaction_delay = ReactionDelay::Fixed(6);
         human.interrupt = Interrupt::UntilComprehended;
@@ -216,7 +216,7 @@ fn time_runs_out() {
 }
 
 #[test]
-fn what_cannot_be_delivered_is_refused_at_once() {
+fn a_dish_that_cannot_be_delivered_is_refused_at_once() {
     let refused = |change: fn(&mut SteakhouseWorldSettings)| {
         SteakhouseDomain::new(&settings(change)).unwrap_err().to_string()
     };

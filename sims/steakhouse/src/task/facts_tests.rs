@@ -91,7 +91,7 @@ fn what_one_is_sent_for_lies_on_that_side() {
 }
 
 #[test]
-fn now_is_news_and_still_is_none() {
+fn a_change_is_news_and_a_lasting_state_is_not() {
     let all = [W(5), U, W(1), W(1), W(1), U];
     let cases = [
         ("grill_still_busy", all, true),

@@ -363,7 +363,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_kitchen_is_named_by_row_and_column() {
+    fn a_grid_that_is_not_a_kitchen_is_named_by_row_and_column() {
         let with = |from: &str, to: &str| refused(&SMALL.replacen(from, to, 1));
         assert_eq!(refused(""), "there are 0 rows and 0 columns; 3 to 32 rows and columns");
         let starts = "starts numbered from 1 without a gap, each once";

@@ -54,7 +54,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_neither_name_nor_kitchen_gets_one_sentence() {
+    fn a_text_that_is_neither_a_name_nor_a_kitchen_gets_one_sentence() {
         let refused = |layout| kitchen(layout).unwrap_err().to_string();
         assert_eq!(
             refused("rings"),
