@@ -208,6 +208,7 @@ impl CollectWorker {
         let (_, policy) = self.policy.insert(packed);
         let rollouts = self.worker.collect(policy, version, &mut self.timer);
         let (overlap, obs_dim) = (self.builder.overlap, self.builder.spec.env.obs_dim);
+        // Here, and not where it is published: what may have to be sent again is kept as it was encoded.
         let encode = |rollout: &mut Rollout| -> Result<EncodedRollout, Error> {
             rollout.leave_out_repeats(overlap, obs_dim);
             let payload = codec::encode(rollout)?;

@@ -1,6 +1,6 @@
 """PyTorch eager on one thread at the shape of `crates/policy/benches/inference.rs` and `crates/ppo/benches/update.rs`.
 
-    python3 bench/peers/ppo_torch.py [--json]
+    python3 bench/peers/ppo_torch.py [inference lstm update, default all] [--json]
 
 60 inputs, actor 60-64-64 with heads 2+4+4+4, separate critic 60-64-64-1. Prints observations per second of the forward
 pass and samples per second of the PPO update (forward, loss, backward, gradient clip, Adam), as CleanRL writes it; and
@@ -21,6 +21,7 @@ except ImportError:
 
 torch.set_num_threads(1)
 torch.manual_seed(1)
+KINDS = ["inference", "lstm", "update"]
 HEADS = [2, 4, 4, 4]
 
 
@@ -161,15 +162,20 @@ def rate(run, n, seconds=2.0):
 
 
 def main():
-    results = {"torch": torch.__version__, "inference": {}, "lstm": {}}
-    for n in [1, 4, 16, 64, 256, 1024]:
-        observations = torch.rand(n, 60) * 2 - 1
-        results["inference"][n] = rate(lambda: forward(observations), n)
+    wanted = [argument for argument in sys.argv[1:] if argument != "--json"] or KINDS
+    if not set(wanted) <= set(KINDS):
+        sys.exit(f"allowed: {' '.join(KINDS)}")
+    results = {"torch": torch.__version__}
     network = Recurrent()
-    for n in [1, 4, 16, 64, 256, 1024]:
-        observations, state = torch.rand(n, 242) * 2 - 1, (torch.zeros(1, n, 128), torch.zeros(1, n, 128))
-        results["lstm"][n] = rate(lambda: lstm_step(network, observations, state), n)
-    kinds = {"update": Plain(), "update lstm": network, "update attention": Attentive()}
+    batches = [1, 4, 16, 64, 256, 1024]
+    for kind in [kind for kind in wanted if kind != "update"]:
+        results[kind] = {}
+        for n in batches:
+            observations, state = torch.rand(n, 242) * 2 - 1, (torch.zeros(1, n, 128), torch.zeros(1, n, 128))
+            plain = observations[:, :60].contiguous()
+            run = (lambda: lstm_step(network, observations, state)) if kind == "lstm" else (lambda: forward(plain))
+            results[kind][n] = rate(run, n)
+    kinds = {"update": Plain(), "update lstm": network, "update attention": Attentive()} if "update" in wanted else {}
     for kind, trained in kinds.items():
         results[kind] = {}
         optimizer = torch.optim.Adam(trained.parameters(), lr=2.5e-4, eps=1e-5)

@@ -363,6 +363,10 @@ pub(crate) struct UpArgs {
     /// For a new run, which keeps what was chosen; leave this out to go on with it.
     #[arg(long, conflicts_with = "change")]
     pub choose_lag: bool,
+    /// Give learner and actors CPUs of their own: the learner as many as `learner.threads`, each actor one of the others, by
+    /// turns. Changes no bit.
+    #[arg(long)]
+    pub pin: bool,
     /// Also listen here, so that actors elsewhere can join: `tls/0.0.0.0:7447`.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
@@ -483,7 +487,7 @@ pub(crate) struct LearnerArgs {
     /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
-    /// How many actors share this machine's cores with the learner.
+    /// How many actors share the learner's cores.
     #[arg(long, hide = true, value_name = "N", default_value_t = 1)]
     pub local_actors: usize,
     /// The supervisor's own files, removed if it is gone when this process ends.

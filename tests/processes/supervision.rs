@@ -99,6 +99,53 @@ fn a_process_that_hangs_is_killed_before_the_supervisor_ends() {
     assert!(are_gone(&processes));
 }
 
+/// Returns the CPUs that a process may use, as the system writes them: `0-3,7`.
+fn cpus(process: u32) -> String {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let mut lines = status.lines();
+    lines.find_map(|line| line.strip_prefix("Cpus_allowed_list:")).unwrap().trim().to_owned()
+}
+
+#[test]
+fn pinned_processes_keep_to_cpus_of_their_own() {
+    let place = Place::new();
+    let supervisor = place.start(&[LONG, "--pin --set learner.threads=1"]);
+    let (learner, actors) = family(supervisor.id());
+    wait_for_updates(&place.run("r"), 2);
+    let all = cpus(supervisor.id());
+    let [learner, actor] = [learner, actors[0]].map(cpus);
+    if all.contains(['-', ',']) {
+        let one_each = [&learner, &actor].iter().all(|cpus| !cpus.contains(['-', ',']));
+        assert!(one_each && learner != actor, "{learner} and {actor} of {all}");
+        wait_for_words(&supervisor, "Pinned: the learner to CPU");
+    } else {
+        assert_eq!([&learner, &actor], [&all, &all]);
+        wait_for_words(&supervisor, "Nothing is pinned: ");
+    }
+    signal("TERM", supervisor.id());
+    supervisor.finish(6 * SECOND).with_code(130);
+}
+
+#[test]
+fn a_learner_that_leaves_no_cpu_to_actors_is_not_pinned_and_trains() {
+    let in_range = |range: &str| {
+        let (first, last) = range.split_once('-').unwrap_or((range, range));
+        last.parse::<usize>().unwrap() + 1 - first.parse::<usize>().unwrap()
+    };
+    let n_cpus: usize = cpus(std::process::id()).split(',').map(in_range).sum();
+    // A learner has no more threads than that.
+    if n_cpus > 64 {
+        return;
+    }
+    let place = Place::new();
+    let threads = format!("--pin --stop-after 2 --set learner.threads={n_cpus}");
+    let ended = place.start(&[LONG, &threads]).finish(PATIENCE).with_code(0);
+    let sentence =
+        format!("the learner's {n_cpus} threads (`learner.threads`) leave none of {n_cpus}");
+    ended.saying(&["Nothing is pinned: ", &sentence]);
+    assert_eq!(updates(&place.run("r")), 2);
+}
+
 #[test]
 fn crashed_processes_are_started_again() {
     let place = Place::new();

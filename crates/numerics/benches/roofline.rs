@@ -1,17 +1,23 @@
 //! What this processor can do at most, and how near to it the kernels are, both in floating-point operations per
 //! second of one core; memory in bytes per second.
 //!
-//! The shapes are those of one block of the update: 512 rows through layers of 60-64-64. `cargo bench -p
-//! leadtime-numerics --bench roofline`.
+//! The shapes are those of blocks of 512 rows of an update: layers of 60-64-64 and their heads, 64-14; the attention's
+//! first embedding, 7-64; the gates of the LSTM, 32-512 from its input and 128-512 from its state. At the end there is
+//! a line for each that says how near it is to the peak. `cargo bench -p leadtime-numerics --bench roofline`.
 
 #![expect(
     clippy::inline_always,
     reason = "kernels must be compiled inside the dispatched target features"
 )]
+#![expect(clippy::print_stdout, reason = "criterion knows no shares")]
 
 use std::hint::black_box;
+use std::time::Instant;
 
-use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::measurement::WallTime;
+use criterion::{
+    BenchmarkGroup, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main,
+};
 use leadtime_numerics::Pcg64;
 use leadtime_numerics::kernel::{Activation, Panels, add_outer_products};
 use pulp::{Arch, Simd, WithSimd};
@@ -20,6 +26,8 @@ use pulp::{Arch, Simd, WithSimd};
 const CHAINS: usize = 12;
 const ROUNDS: usize = 1_000;
 const ROWS: usize = 512;
+/// Inputs and outputs of the layers.
+const SHAPES: [(usize, usize); 6] = [(60, 64), (64, 64), (64, 14), (7, 64), (32, 512), (128, 512)];
 
 /// Multiply-adds on registers alone; returns how many lanes each vector has.
 struct Peak;
@@ -65,11 +73,45 @@ fn draws(n: usize, seed: u64) -> Vec<f32> {
     (0..n).map(|_| generator.uniform(-1.0, 1.0) as f32).collect()
 }
 
-fn machine(criterion: &mut Criterion) {
+/// Measures work of so many floating-point operations; returns the most that were done in a second, unless the bench was
+/// left out.
+fn measure(
+    group: &mut BenchmarkGroup<'_, WallTime>,
+    name: &str,
+    n_operations: usize,
+    mut work: impl FnMut(),
+) -> Option<f64> {
+    let mut shortest = f64::INFINITY;
+    group.throughput(Throughput::Elements(n_operations as u64));
+    group.bench_function(BenchmarkId::from_parameter(name), |bencher| {
+        bencher.iter_custom(|n| {
+            let started = Instant::now();
+            (0..n).for_each(|_| work());
+            let taken = started.elapsed();
+            shortest = shortest.min(taken.as_secs_f64() / n as f64);
+            taken
+        });
+    });
+    shortest.is_finite().then(|| n_operations as f64 / shortest)
+}
+
+fn roofline(criterion: &mut Criterion) {
+    let peak = machine(criterion);
+    let most = kernels(criterion);
+    for (name, most) in most {
+        if let (Some(most), Some(peak)) = (most, peak) {
+            println!("share of the peak: {:.2} {name}", most / peak);
+        }
+    }
+}
+
+/// Returns the peak, in operations per second.
+fn machine(criterion: &mut Criterion) -> Option<f64> {
     let mut group = criterion.benchmark_group("machine");
     let lanes = Arch::new().dispatch(Peak);
-    group.throughput(Throughput::Elements((2 * CHAINS * ROUNDS * lanes) as u64));
-    group.bench_function("multiply-add", |bencher| bencher.iter(|| Arch::new().dispatch(Peak)));
+    let peak = measure(&mut group, "multiply-add", 2 * CHAINS * ROUNDS * lanes, || {
+        black_box(Arch::new().dispatch(Peak));
+    });
     let n = 16 << 20;
     let (mut a, b, c) = (vec![0.0; n], draws(n, 1), draws(n, 2));
     group.throughput(Throughput::Bytes((3 * size_of::<f32>() * n) as u64));
@@ -77,29 +119,35 @@ fn machine(criterion: &mut Criterion) {
         bencher.iter(|| Arch::new().dispatch(Triad(&mut a, &b, &c)));
     });
     group.finish();
+    peak
 }
 
-fn kernels(criterion: &mut Criterion) {
+/// Returns the most operations per second of every kernel at every shape.
+fn kernels(criterion: &mut Criterion) -> Vec<(String, Option<f64>)> {
     let mut group = criterion.benchmark_group("kernel");
-    for (k, n) in [(60, 64), (64, 64), (64, 14)] {
-        let shape = format!("{ROWS} x {k} x {n}");
-        group.throughput(Throughput::Elements((2 * ROWS * k * n) as u64));
+    let mut found = Vec::new();
+    for (k, n) in SHAPES {
+        let n_operations = 2 * ROWS * k * n;
         let panels = Panels::from_rows(&draws(k * n, 1), k, n);
         let (a, b) = (draws(ROWS * k, 2), draws(ROWS * n, 3));
         let mut out = vec![0.0; ROWS * n];
         for activation in [Activation::Linear, Activation::Tanh] {
-            let name = BenchmarkId::new(format!("multiply {activation:?}"), &shape);
-            group.bench_function(name, |bencher| {
-                bencher.iter(|| panels.multiply(&a, &[], activation, &mut out));
+            let name = format!("multiply {activation:?} {ROWS} x {k} x {n}");
+            let most = measure(&mut group, &name, n_operations, || {
+                panels.multiply(&a, &[], activation, &mut out);
             });
+            found.push((name, most));
         }
         let mut products = vec![0.0; n * k];
-        group.bench_function(BenchmarkId::new("outer products", &shape), |bencher| {
-            bencher.iter(|| add_outer_products(&b, &a, n, k, &mut products));
+        let name = format!("outer products {ROWS} x {k} x {n}");
+        let most = measure(&mut group, &name, n_operations, || {
+            add_outer_products(&b, &a, n, k, &mut products);
         });
+        found.push((name, most));
     }
     group.finish();
+    found
 }
 
-criterion_group!(benches, machine, kernels);
+criterion_group!(benches, roofline);
 criterion_main!(benches);

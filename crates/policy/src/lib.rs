@@ -32,7 +32,7 @@ pub use distribution::{ActionDistribution, ActionTerms};
 pub use error::Error;
 pub use file::read_metadata;
 pub use inference::Policy;
-pub use normalizer::{FrozenNormalizer, ObservationNormalizer};
+pub use normalizer::{FrozenNormalizer, ObservationMoments, ObservationNormalizer};
 pub use parameters::Parameters;
 
 #[cfg(test)]

@@ -34,23 +34,26 @@ pub struct ObservationNormalizer {
     pub count: f64,
 }
 
-impl ObservationNormalizer {
-    /// Starts with mean 0 and variance 1, which the first observations replace.
-    pub fn new(dim: usize) -> Self {
-        Self { mean: vec![0.0; dim], variance: vec![1.0; dim], count: INITIAL_COUNT }
-    }
+/// Moments of a batch of raw observations, which depend on no other batch.
+#[derive(Clone, Debug, Default)]
+pub struct ObservationMoments {
+    n: f64,
+    /// `[D]`
+    mean: Vec<f64>,
+    /// Sums of squared differences from the mean. `[D]`
+    squares: Vec<f64>,
+}
 
-    /// Updates the moments with a batch of raw observations. Flags of presence keep mean 0 and variance 1; statistics
-    /// that have others for them, of an older run, lose them here.
+impl ObservationMoments {
+    /// Computes the moments of observations of `dim` components.
     ///
     /// # Shapes
     ///
     /// `observations`: `[N, D]`.
-    pub fn update(&mut self, spec: &PolicySpec, observations: &[f32]) {
-        let dim = self.mean.len();
+    pub fn of(dim: usize, observations: &[f32]) -> Self {
         let n = observations.len().checked_div(dim).unwrap_or(0) as f64;
         if n == 0.0 {
-            return;
+            return Self::default();
         }
         let mut mean = vec![0.0; dim];
         for row in observations.chunks_exact(dim) {
@@ -65,8 +68,34 @@ impl ObservationNormalizer {
                 *sum += (f64::from(x) - mean) * (f64::from(x) - mean);
             }
         }
+        Self { n, mean, squares }
+    }
+}
+
+impl ObservationNormalizer {
+    /// Starts with mean 0 and variance 1, which the first observations replace.
+    pub fn new(dim: usize) -> Self {
+        Self { mean: vec![0.0; dim], variance: vec![1.0; dim], count: INITIAL_COUNT }
+    }
+
+    /// Updates the moments with a batch of raw observations. Flags of presence keep mean 0 and variance 1; statistics
+    /// that have others for them, of an older run, lose them here.
+    ///
+    /// # Shapes
+    ///
+    /// `observations`: `[N, D]`.
+    pub fn update(&mut self, spec: &PolicySpec, observations: &[f32]) {
+        self.merge(spec, &ObservationMoments::of(self.mean.len(), observations));
+    }
+
+    /// Updates the moments with those of a batch, as [`Self::update`] does.
+    pub fn merge(&mut self, spec: &PolicySpec, batch: &ObservationMoments) {
+        let ObservationMoments { n, mean, squares } = batch;
+        if *n == 0.0 {
+            return;
+        }
         let total = self.count + n;
-        for i in 0..dim {
+        for i in 0..self.mean.len() {
             let delta = mean[i] - self.mean[i];
             let square = self.variance[i] * self.count
                 + squares[i]

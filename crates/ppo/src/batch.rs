@@ -1,12 +1,13 @@
 //! From rollouts to the samples of an update: normalised inputs, advantages, targets.
 
 use leadtime_policy::{ActionDistribution, FrozenNormalizer, Policy};
-use leadtime_proto::{Mask, Rollout};
+use leadtime_proto::{CheckedRollout, Mask, Rollout};
 
 use crate::encoder::Sequences;
 use crate::gae::{Cut, TrajectorySegment, gae};
 use crate::loss::Samples;
 use crate::settings::{LearnerSettings, Truncation};
+use crate::team::Team;
 use crate::vtrace::vtrace;
 
 /// All samples of an update, one environment after the other.
@@ -26,13 +27,26 @@ impl UpdateBatch {
         self.samples.masks.len()
     }
 
-    /// Appends a rollout's inputs, actions and behaviour; targets follow from one of the two below.
-    pub(crate) fn push(&mut self, rollout: &Rollout, normalizer: Option<&FrozenNormalizer>) {
-        let start = self.features.len();
-        self.features.extend_from_slice(&rollout.observations);
-        if let Some(normalizer) = normalizer {
-            normalizer.apply(&rollout.observations, &mut self.features[start..]);
-        }
+    /// Lays out the inputs, actions and behaviour of rollouts; targets follow from one of the two below.
+    pub(crate) fn of(
+        rollouts: &[CheckedRollout],
+        normalizer: Option<&FrozenNormalizer>,
+        team: &Team,
+    ) -> Self {
+        let mut batch = Self::default();
+        let n_floats = |rollout: &CheckedRollout| rollout.observations.len();
+        batch.features = vec![0.0; rollouts.iter().map(n_floats).sum()];
+        let parts = parts(rollouts, &mut batch.features, n_floats);
+        team.for_each(parts.into_iter(), |(rollout, features)| match normalizer {
+            Some(normalizer) => normalizer.apply(&rollout.observations, features),
+            None => features.copy_from_slice(&rollout.observations),
+        });
+        rollouts.iter().for_each(|rollout| batch.push(rollout));
+        batch
+    }
+
+    /// Appends a rollout's actions and behaviour.
+    fn push(&mut self, rollout: &Rollout) {
         self.samples.masks.extend_from_slice(&rollout.masks);
         self.samples.actions.extend_from_slice(&rollout.actions);
         self.samples.log_probs.extend_from_slice(&rollout.log_probs);
@@ -42,23 +56,25 @@ impl UpdateBatch {
         resets.extend(episode_starts(rollout));
     }
 
-    /// Appends targets from the stored behaviour values by generalised advantage estimation.
-    pub(crate) fn push_gae(
+    /// Sets the targets of all rollouts from the stored behaviour values by generalised advantage estimation.
+    pub(crate) fn set_gae(
         &mut self,
-        rollout: &Rollout,
-        rewards: &[f32],
+        rollouts: &[CheckedRollout],
+        rewards: &[Vec<f32>],
         settings: &LearnerSettings,
+        team: &Team,
     ) {
-        let cuts = cuts(rollout, settings.truncation, |end| rollout.ends[end].final_value);
-        let values = rollout.values.as_slice();
-        let segment =
-            TrajectorySegment { rewards, values, next_value: rollout.next_value, cuts: &cuts };
-        let start = self.samples.advantages.len();
-        self.samples.advantages.resize(start + values.len(), 0.0);
-        let advantages = &mut self.samples.advantages[start..];
-        gae(&segment, settings.gamma as f32, settings.gae_lambda as f32, advantages);
-        self.samples.returns.extend(advantages.iter().zip(values).map(|(a, v)| a + v));
-        self.samples.values.extend_from_slice(values);
+        let Samples { advantages, returns, values, .. } = &mut self.samples;
+        rollouts.iter().for_each(|rollout| values.extend_from_slice(&rollout.values));
+        *advantages = vec![0.0; values.len()];
+        let parts = parts(rollouts, advantages, |rollout| rollout.values.len());
+        team.for_each(parts.into_iter().zip(rewards), |((rollout, advantages), rewards)| {
+            let cuts = cuts(rollout, settings.truncation, |end| rollout.ends[end].final_value);
+            let (values, next_value) = (rollout.values.as_slice(), rollout.next_value);
+            let segment = TrajectorySegment { rewards, values, next_value, cuts: &cuts };
+            gae(&segment, settings.gamma as f32, settings.gae_lambda as f32, advantages);
+        });
+        returns.extend(advantages.iter().zip(values.iter()).map(|(a, v)| a + v));
     }
 
     /// Appends targets under the policy at the start of the update, by V-trace.
@@ -106,6 +122,20 @@ impl UpdateBatch {
         let left = variance(returns.iter().zip(values).map(|(r, v)| f64::from(r - v)));
         if total > 0.0 { 1.0 - left / total } else { 0.0 }
     }
+}
+
+/// Cuts numbers into those of each rollout, so that threads can write them side by side.
+fn parts<'a>(
+    rollouts: &'a [CheckedRollout],
+    mut rest: &'a mut [f32],
+    len: impl Fn(&CheckedRollout) -> usize,
+) -> Vec<(&'a CheckedRollout, &'a mut [f32])> {
+    let part = |rollout: &'a CheckedRollout| {
+        let (part, behind) = std::mem::take(&mut rest).split_at_mut(len(rollout));
+        rest = behind;
+        (rollout, part)
+    };
+    rollouts.iter().map(part).collect()
 }
 
 fn variance(values: impl Iterator<Item = f64> + Clone) -> f64 {

@@ -19,7 +19,9 @@
 
 use std::collections::BTreeMap;
 
-use leadtime_policy::{ActionDistribution, ObservationNormalizer, Parameters, Policy};
+use leadtime_policy::{
+    ActionDistribution, ObservationMoments, ObservationNormalizer, Parameters, Policy,
+};
 use leadtime_proto::limits::MAX_MAGNITUDE;
 use leadtime_proto::{CheckedRollout, Encoder, PolicySpec, PolicyVersion, Schedule, Staleness};
 use serde::{Deserialize, Serialize};
@@ -188,11 +190,7 @@ impl Trainer {
         let totals = self.learn(&batch, learning_rate)?;
         ended("epochs");
         check_weights(&self.network)?;
-        if let Some(normalizer) = &mut self.observations {
-            for rollout in rollouts {
-                normalizer.update(&self.policy_spec, &rollout.observations);
-            }
-        }
+        self.take_in_observations(rollouts);
         self.parameters = self.network.parameters(self.observations.clone())?;
         self.check_outputs(rollouts)?;
         let mut staleness = BTreeMap::new();
@@ -229,22 +227,29 @@ impl Trainer {
         let rewards = self.scaled_rewards(rollouts);
         let frozen = self.observations.as_ref().map(ObservationNormalizer::freeze);
         let is_async = matches!(self.settings.schedule(), Schedule::Async { .. });
-        let mut policy =
-            if is_async { Some(Policy::new(&self.policy_spec, &self.parameters)?) } else { None };
-        let mut batch = UpdateBatch::default();
+        let mut batch = UpdateBatch::of(rollouts, frozen.as_ref(), &self.team);
+        if !is_async {
+            batch.set_gae(rollouts, &rewards, &self.settings, &self.team);
+            return Ok(batch);
+        }
+        let mut policy = Policy::new(&self.policy_spec, &self.parameters)?;
         for (rollout, rewards) in rollouts.iter().zip(&rewards) {
-            batch.push(rollout, frozen.as_ref());
-            if is_async {
-                batch.staleness.resize(batch.n_samples(), self.staleness(rollout));
-            }
-            match &mut policy {
-                None => batch.push_gae(rollout, rewards, &self.settings),
-                Some(policy) => {
-                    batch.push_vtrace(rollout, rewards, &self.settings, policy, &self.distribution);
-                }
-            }
+            let n_samples = batch.staleness.len() + rollout.masks.len();
+            batch.staleness.resize(n_samples, self.staleness(rollout));
+            batch.push_vtrace(rollout, rewards, &self.settings, &mut policy, &self.distribution);
         }
         Ok(batch)
+    }
+
+    /// Updates the statistics of observations; what does not depend on the order of rollouts is shared by the threads.
+    fn take_in_observations(&mut self, rollouts: &[CheckedRollout]) {
+        let Some(normalizer) = &mut self.observations else { return };
+        let obs_dim = self.policy_spec.obs_dim;
+        let mut found = vec![ObservationMoments::default(); rollouts.len()];
+        self.team.for_each(rollouts.iter().zip(&mut found), |(rollout, moments)| {
+            *moments = ObservationMoments::of(obs_dim, &rollout.observations);
+        });
+        found.iter().for_each(|moments| normalizer.merge(&self.policy_spec, moments));
     }
 
     /// Returns each rollout's rewards, scaled and (after the statistics took all of them in) normalised.

@@ -360,6 +360,13 @@ fn an_update_has_the_same_bits_on_any_number_of_threads() {
 }
 
 #[test]
+fn observations_are_normalised_with_the_same_bits_on_any_number_of_threads() {
+    let spec = PolicySpec { normalize_observations: true, ..random_rollouts::plain() };
+    let [one, two, four] = [1, 2, 4].map(|n_threads| digest(&spec, (5, 60), n_threads));
+    assert_eq!([two, four], [one, one]);
+}
+
+#[test]
 fn a_learner_computes_what_an_actor_computed() {
     for spec in
         [random_rollouts::plain(), random_rollouts::attentive(), random_rollouts::recurrent()]

@@ -15,6 +15,7 @@ use tracing::info;
 
 use crate::RunDirError;
 use crate::naming::{Naming, Reservation};
+use crate::placement::Placement;
 use crate::scratch::ScratchDir;
 use crate::supervise::{Ended, ProcessPlan, supervise};
 
@@ -44,6 +45,8 @@ pub struct Launch<'a> {
     pub metrics_to: Option<&'a str>,
     /// The file to whose end every process writes where its time goes.
     pub trace: Option<&'a Path>,
+    /// Which CPUs learner and actors keep to.
+    pub placement: Placement,
     /// Where the learner serves its status.
     pub status: Option<&'a str>,
     /// Whether the learner's results go to standard output.
@@ -80,6 +83,7 @@ impl<'a> Launch<'a> {
             changes: Vec::new(),
             metrics_to: None,
             trace: None,
+            placement: Placement::default(),
             status: None,
             learner_stdout: false,
             json: false,
@@ -199,7 +203,8 @@ fn plan(
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
     learner.extend(text(&["--listen", endpoint]));
-    learner.extend(text(&["--local-actors", &launch.n_actors.to_string()]));
+    let n_beside = if launch.placement.is_shared() { launch.n_actors } else { 0 };
+    learner.extend(text(&["--local-actors", &n_beside.to_string()]));
     learner.extend(launch.options.iter().cloned());
     // Not through the file, and not as text: a path need not be text.
     let paths = [("-c", &*file), ("--scratch", scratch), ("--runs", &config.run.directory)];
@@ -237,6 +242,7 @@ fn plan(
     Ok(ProcessPlan {
         learner,
         actors: (1..=launch.n_actors).map(actor).collect(),
+        placement: launch.placement.clone(),
         run: reserved.path.clone(),
         n_updates: config.learner.n_updates(),
         others_may_join: !launch.listen.is_empty(),

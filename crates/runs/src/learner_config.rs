@@ -36,10 +36,7 @@ pub fn learner_config(
             schedule: config.learner.schedule(),
         },
         settings: LearnerSettings {
-            threads: match config.learner.threads {
-                0 => free_cores(n_local_actors),
-                n_threads => n_threads,
-            },
+            threads: learner_threads(config, n_local_actors),
             ..config.learner.clone()
         },
         window: config.window,
@@ -54,6 +51,14 @@ pub fn learner_config(
         identity: identity::of_run(&config.table),
         earlier: run_dir.record.changes.iter().filter_map(|it| hex::decode(&it.identity)).collect(),
     })
+}
+
+/// Returns how many threads share an update of a learner beside so many actors on the same machine.
+pub(crate) fn learner_threads(config: &Config, n_local_actors: usize) -> usize {
+    match config.learner.threads {
+        0 => free_cores(n_local_actors),
+        n_threads => n_threads,
+    }
 }
 
 /// Returns how many cores actors leave to their learner, at least one.

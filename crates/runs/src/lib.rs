@@ -7,6 +7,7 @@
 //! held_out     evaluations while it trains (held_out.jsonl)            history         what observers receive
 //! launch       a learner and its actors as children  ->  supervise      watched until the last of them is gone
 //! report       all of it (run_files), and the findings of an evaluation, as a page    evaluation_record   eval.json
+//! placement    which CPUs those keep to
 //! race         several seeds of a configuration, the hopeless stopped on the way
 //! scratch      the short-lived directory of a launch        tasks           what there is to train on
 //! find         a run by its name                            listing         all runs in a directory
@@ -42,6 +43,7 @@ mod listing;
 mod metrics;
 mod naming;
 mod own_files;
+mod placement;
 pub mod policy_file;
 pub mod prune;
 pub mod race;
@@ -69,6 +71,7 @@ pub use learner_config::learner_config;
 pub use listing::ListedRun;
 pub use naming::{Naming, check_place};
 pub use own_files::{REPORT_PAGE, run_that_keeps};
+pub use placement::{NotPlaced, Placement};
 pub use policy_file::{BEST_POLICY, LAST_POLICY, LoadedPolicy};
 pub use record::{ForkOrigin, ResultCause, RunRecord, RunResult, SettingChange};
 pub use recorder::RunRecorder;

@@ -25,6 +25,7 @@ use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 use tokio_util::sync::CancellationToken;
 
 use crate::build::running_program;
+use crate::placement::{Placement, start_on};
 use crate::{journal, regular};
 
 /// How often a child is restarted without having been healthy in between.
@@ -51,6 +52,8 @@ pub(crate) struct ProcessPlan {
     pub(crate) learner: Vec<OsString>,
     /// Arguments of each actor.
     pub(crate) actors: Vec<Vec<OsString>>,
+    /// Which CPUs each of them keeps to.
+    pub(crate) placement: Placement,
     /// Directory of the run; its journal shows whether the run advances.
     pub(crate) run: PathBuf,
     /// Updates of the whole run.
@@ -82,9 +85,11 @@ pub(crate) async fn supervise(
     let stderr_log = plan.stderr_log.as_deref();
     let mut learner = ChildHandle::new("learner", &plan.learner, stderr_log);
     learner.shows_results = plan.learner_stdout;
+    learner.cpus = plan.placement.of_learner().to_vec();
     learner.start(&plan.run)?;
     let handle = |(number, args): (usize, &Vec<OsString>)| ChildHandle {
         is_actor: true,
+        cpus: plan.placement.of_actor(number - 1).to_vec(),
         ..ChildHandle::new(&format!("actor {number}"), args, stderr_log)
     };
     let mut actors: Vec<ChildHandle> = (1..).zip(&plan.actors).map(handle).collect();
@@ -181,6 +186,8 @@ struct ChildHandle {
     /// Finds the program again for every start, because its file may have been replaced.
     program: fn() -> io::Result<PathBuf>,
     args: Vec<OsString>,
+    /// The CPUs that it keeps to; all that we may use if there are none.
+    cpus: Vec<usize>,
     /// Its results go to our standard output, instead of nowhere.
     shows_results: bool,
     /// Its log goes to the end of this file, instead of to our standard error.
@@ -207,6 +214,7 @@ impl ChildHandle {
             is_actor: false,
             program: running_program,
             args: args.to_vec(),
+            cpus: Vec::new(),
             shows_results: false,
             stderr_log: stderr_log.map(Path::to_owned),
             process: None,
@@ -234,9 +242,11 @@ impl ChildHandle {
         let stdout = if self.shows_results { Stdio::inherit() } else { Stdio::null() };
         let mut command = Command::new((self.program)()?);
         command.args(&self.args).stdin(Stdio::piped()).stdout(stdout).stderr(stderr);
-        let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
-        let lifeline = process.stdin().take();
-        Ok(ChildProcess { process, lifeline })
+        start_on(&self.cpus, || {
+            let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
+            let lifeline = process.stdin().take();
+            Ok(ChildProcess { process, lifeline })
+        })
     }
 
     /// Notices the child's end, and starts it when it is time.
@@ -336,6 +346,7 @@ impl Drop for ChildProcess {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::placement;
 
     fn actor() -> ChildHandle {
         ChildHandle { is_actor: true, ..ChildHandle::new("actor 1", &[], None) }
@@ -410,6 +421,21 @@ mod tests {
         let mut actors = healths.map(gone);
         call_back(&plan, &mut actors);
         assert_eq!(actors.map(|actor| actor.health), healths);
+    }
+
+    #[test]
+    fn a_child_keeps_to_its_cpus_and_its_supervisor_does_not() {
+        let run = tempfile::tempdir().unwrap();
+        let ours = placement::allowed().unwrap();
+        let last = *ours.last().unwrap();
+        let mut learner = ChildHandle::new("learner", &["600".into()], None);
+        learner.program = || Ok("sleep".into());
+        learner.cpus = vec![last];
+        learner.start(run.path()).unwrap();
+        let id = learner.process.as_ref().unwrap().process.id();
+        let status = std::fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+        assert!(status.contains(&format!("Cpus_allowed_list:\t{last}\n")), "{status}");
+        assert_eq!(placement::allowed().unwrap(), ours);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use std::fs;
 use leadtime_config::{Config, Override};
 use leadtime_proto::Schedule;
 use leadtime_runs::launch::Launch;
-use leadtime_runs::{Naming, Tasks};
+use leadtime_runs::{Naming, Placement, Tasks};
 use leadtime_table::Table;
 use serde_json::Value;
 use tokio_util::sync::CancellationToken;
@@ -34,6 +34,7 @@ pub(super) async fn choose(
     tasks: &Tasks,
     args: &UpArgs,
     config: &Config,
+    placement: &Placement,
     shutdown: &CancellationToken,
 ) -> Result<Override, Failure> {
     refuse_without_a_choice(config)?;
@@ -53,6 +54,7 @@ pub(super) async fn choose(
             fork: args.run.fork.as_deref(),
             stop_after: Some(TRIAL.to_owned()),
             stderr_log: Some(log.clone()),
+            placement: placement.clone(),
             ..Launch::new(Naming::Resume, args.actors)
         };
         let launched = carry_out(&trial, &what, shutdown).await?;

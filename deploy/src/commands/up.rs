@@ -6,10 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use leadtime_certs::Role;
+use leadtime_config::Config;
 use leadtime_process::TraceFile;
 use leadtime_proto::RunName;
 use leadtime_runs::launch::{Launch, LearnerPlace};
-use leadtime_runs::{Naming, Tasks, clock};
+use leadtime_runs::{Naming, Placement, Tasks, clock};
 use leadtime_watch::Page;
 use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
@@ -36,8 +37,9 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         }
         None => None,
     };
+    let placement = if args.pin { place(&config, args.actors) } else { Placement::default() };
     if args.choose_lag {
-        let chosen = lag::choose(tasks, args, &config, &shutdown).await;
+        let chosen = lag::choose(tasks, args, &config, &placement, &shutdown).await;
         let Some(lag) = unless_drained(chosen, &drained)? else { return Ok(()) };
         let source = args.source.changed(&[lag]);
         config = args.run.load(tasks, &source).blame(ExitCode::WrongInput)?;
@@ -60,6 +62,7 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         changes: args.run.change.iter().map(ToString::to_string).collect(),
         metrics_to: args.run.metrics_to.as_deref(),
         trace,
+        placement,
         status: args.status.as_deref(),
         learner_stdout: true,
         json: args.json,
@@ -78,6 +81,20 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
         output::next(&run, &[EVALUATE, DRAW, REPORT]);
     }
     Ok(())
+}
+
+/// Gives learner and actors CPUs of their own, where there are enough, and says which.
+fn place(config: &Config, n_actors: u32) -> Placement {
+    match Placement::choose(config, n_actors as usize) {
+        Ok(placement) => {
+            output::note(&format!("Pinned: {placement}."));
+            placement
+        }
+        Err(why) => {
+            output::note(&format!("Nothing is pinned: {why}."));
+            Placement::default()
+        }
+    }
 }
 
 /// How long the page waits for the learner's last words after it has ended, and the pause between two looks.
