@@ -6,7 +6,6 @@
 #![expect(clippy::unwrap_used, reason = "the tests' helpers fail as their tests do")]
 
 #[path = "network/support.rs"]
-#[expect(dead_code, reason = "only a part of it is needed here")]
 mod support;
 
 use std::sync::Arc;

@@ -41,7 +41,9 @@ impl UpdateBatch {
             Some(normalizer) => normalizer.apply(&rollout.observations, features),
             None => features.copy_from_slice(&rollout.observations),
         });
-        rollouts.iter().for_each(|rollout| batch.push(rollout));
+        for rollout in rollouts {
+            batch.push(rollout);
+        }
         batch
     }
 
@@ -65,7 +67,9 @@ impl UpdateBatch {
         team: &Team,
     ) {
         let Samples { advantages, returns, values, .. } = &mut self.samples;
-        rollouts.iter().for_each(|rollout| values.extend_from_slice(&rollout.values));
+        for rollout in rollouts {
+            values.extend_from_slice(&rollout.values);
+        }
         *advantages = vec![0.0; values.len()];
         let parts = parts(rollouts, advantages, |rollout| rollout.values.len());
         team.for_each(parts.into_iter().zip(rewards), |((rollout, advantages), rewards)| {

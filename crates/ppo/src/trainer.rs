@@ -249,7 +249,9 @@ impl Trainer {
         self.team.for_each(rollouts.iter().zip(&mut found), |(rollout, moments)| {
             *moments = ObservationMoments::of(obs_dim, &rollout.observations);
         });
-        found.iter().for_each(|moments| normalizer.merge(&self.policy_spec, moments));
+        for moments in &found {
+            normalizer.merge(&self.policy_spec, moments);
+        }
     }
 
     /// Returns each rollout's rewards, scaled and (after the statistics took all of them in) normalised.

@@ -98,7 +98,9 @@ pub(crate) fn start_on<T>(cpus: &[usize], start: impl FnOnce() -> io::Result<T>)
     }
     let ours = sched_getaffinity(None)?;
     let mut theirs = CpuSet::new();
-    cpus.iter().for_each(|&cpu| theirs.set(cpu));
+    for &cpu in cpus {
+        theirs.set(cpu);
+    }
     sched_setaffinity(None, &theirs)?;
     let started = start();
     sched_setaffinity(None, &ours)?;

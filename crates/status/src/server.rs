@@ -20,7 +20,7 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 
 /// What a status page is made of.
 pub(crate) trait StatusSource: Send + Sync + 'static {
-    /// Writes the numbers in the text format of OpenMetrics.
+    /// Writes the numbers in the text format of `OpenMetrics`.
     fn metrics(&self) -> Result<String, std::fmt::Error>;
 
     /// Says in one sentence why the process is not alive, if it is not.
