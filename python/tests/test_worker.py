@@ -504,7 +504,10 @@ def test_the_page_of_the_documents_trains():
         assert "success" in json.dumps(evaluated)
         # What is wrong is one sentence, and the worker's own.
         Path(place, "crossing.py").write_text(code.replace("import numpy as np", "import numpy as np, nobody_has_this"))
+        began = time.monotonic()
         failed = run(place, "up", "-c", "crossing.toml", code=2).stderr
+        # Three seconds are promised; a busy machine may take twice as long.
+        assert time.monotonic() - began < 6, f"{time.monotonic() - began} s"
         assert "ModuleNotFoundError: No module named 'nobody_has_this' (crossing.py:2)" in failed, failed
 
 
