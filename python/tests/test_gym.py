@@ -8,6 +8,7 @@ import tempfile
 import unittest
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -15,7 +16,8 @@ from gymnasium.utils.env_checker import check_env
 
 import leadtime
 import leadtime.gym
-from leadtime.gym import IDS, LeadtimeVectorEnv
+from leadtime.gym import IDS, LeadtimeVectorEnv, toml
+from leadtime.notifier import LocalNotifier, tomllib
 from leadtime.policy import load
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -30,7 +32,10 @@ N_STEPS = 1000
 
 def told(*arguments, folder):
     """Returns what the program prints."""
-    return subprocess.run([PROGRAM, *map(str, arguments)], check=True, cwd=folder, capture_output=True, text=True).stdout
+    finished = subprocess.run([PROGRAM, *map(str, arguments)], cwd=folder, capture_output=True, text=True)
+    if finished.returncode:
+        raise AssertionError(f"{arguments}: exit code {finished.returncode}: {finished.stderr}")
+    return finished.stdout
 
 
 def untrained(task, folder):
@@ -328,6 +333,118 @@ class Policy(unittest.TestCase):
                         i = step["episode"]
                         end = "terminated" if terminated[i] else "truncated" if truncated[i] else None
                         self.assertEqual((rewards[i], end), (np.float32(step["reward"]), step["end"]), step)
+
+    def compare_notifier(self, policy, steps, words=None):
+        """Shows a notifier of this process what the program's saw of the world, has it choose the same, and counts what it starts."""
+        seen, n_started = [], 0
+
+        def act(row, mask, **_):
+            seen.append((row, mask))
+            return steps[len(seen) - 1]["action"], None
+
+        policy.act = act
+        notifier = LocalNotifier(policy, words)
+        sentences = {topic["topic"]: topic["utterances"] for topic in words["topics"]} if words else {}
+        # A history of one pair names no time.
+        now = "t." if "t.said.start" in policy.observation else ""
+        of_world = [policy.observation.index(now + name) for name in notifier.observation]
+        for step in steps:
+            events = notifier.step([step["observation"][i] for i in of_world], episode=step["episode"])
+            row, mask = seen[-1]
+            self.assertTrue((row == np.array(step["observation"], np.float32)).all(), step)
+            self.assertTrue((mask == step["offered"]).all(), step)
+            self.assertEqual([event["last"] for event in events], [False] * (len(events) - 1) + [True])
+            for event in events:
+                self.assertLessEqual(event.get("heard", 0), event.get("l", 0))
+                if event["event"] == "start":
+                    n_started += 1
+                if event["event"] == "start" and words:
+                    cell = {"comprehension": event["k"], "conveyance": event["l"], "text": event["text"], "facts": []}
+                    self.assertIn(cell, [{key: it[key] for key in cell} for it in sentences[event["topic"]]])
+        return n_started
+
+    def test_a_notifier_in_this_process_sees_what_the_program_s_sees_and_says_it_in_words(self):
+        for name, episodes in SHIPPED.items():
+            with self.subTest(name), tempfile.TemporaryDirectory() as folder:
+                file = ROOT / f"deploy/policies/{name}.safetensors"
+                policy = load(file)
+                words = json.loads(told("taxonomy", "export", policy.metadata["domain"], "--format", "json", folder=folder))
+                self.assertGreater(self.compare_notifier(policy, steps_of(file, folder, episodes), words), episodes / 2)
+
+    def test_a_notifier_in_this_process_keeps_to_every_rule_of_speech(self):
+        shown = tomllib.loads(told("config", "lander", folder=ROOT))
+        cells = [["ascend", 2, 4], ["ascend", 4, 5], ["shift_left", 3, 3], ["shift_right", 2, 2], ["descend", 5, 5]]
+        few = {"history": 1, "observe_utterance": False, "topics": ["descend", "ascend"], "k_max": 3}
+        for human, choices in [({}, {}), ({"can_stop": True, "interrupt": "finish", "blocked_initiation": "mask"}, few),
+                               ({"occupies": False, "words_from": 0}, {}),
+                               ({"comprehension": "immediate", "can_stop": True, "interrupt": "replace"}, {"cells": cells}),
+                               ({}, {"notification": "topic_only", "words": [3, 5]})]:
+            with self.subTest(human=human, choices=choices), tempfile.TemporaryDirectory() as folder:
+                config = {**shown, "human": {**shown["human"], **human}, "notifier": {**shown["notifier"], **choices}}
+                text = "".join(f"{key} = {toml(value)}\n" for key, value in config.items())
+                file = Path(folder) / "own.toml"
+                file.write_text(text)
+                env, draws = leadtime.World(str(file), [], True), np.random.default_rng(1)
+                policy = SimpleNamespace(metadata={"config": text}, obs_dim=env.obs_dim, heads=env.heads, begin=lambda: None,
+                                         observation=[name for name, *_ in env.quantities])
+                steps = []
+                for episode in range(6):
+                    row, info, done = *env.reset(1, episode), False
+                    while not done:
+                        action = [int(draws.integers(len(names))) for _, names in env.heads]
+                        steps.append({"episode": episode, "observation": row, "offered": info["action_mask"], "action": action})
+                        row, _, terminated, truncated, info = env.step(action)
+                        done = terminated or truncated
+                self.assertGreater(self.compare_notifier(policy, steps), 10)
+
+    def test_a_notifier_in_this_process_says_what_is_true_and_falls_silent_when_asked(self):
+        file = ROOT / "deploy/policies/piloting.safetensors"
+        sentences = [{"comprehension": 3, "conveyance": 4, "text": "Go up - zone ahead.", "facts": ["zone_ahead"]},
+                     {"comprehension": 2, "conveyance": 2, "text": "Go up.", "facts": []}]
+        words = {"topics": [{"topic": topic, "utterances": sentences} for topic in ("ascend", "shift_left", "shift_right", "descend")]}
+
+        def said(notifier, **step):
+            return [(event["event"], event.get("word"), event.get("text")) for event in notifier.step(np.zeros(8), **step)]
+
+        policy, actions = load(file), []
+        policy.act = lambda row, mask, **_: (actions.pop(0), None)
+        notifier = LocalNotifier(policy, words)
+        # A message of four words, as a sentence of as many and as one of two, which keeps its pace.
+        actions += [[1, 0, 2]] + [[0, 0, 0]] * 4 + [[1, 0, 2]] + [[0, 0, 0]] * 2
+        text = "Go up - zone ahead."
+        self.assertEqual(said(notifier, facts=["zone_ahead"]), [("start", 0, text)])
+        self.assertEqual([said(notifier) for _ in range(4)], [[("word", 1, text)], [("word", 2, text)], [("word", 3, text)], [("end", 4, text)]])
+        self.assertEqual([said(notifier) for _ in range(3)], [[("start", 0, "Go up.")], [("word", 0, "Go up.")], [("word", 1, "Go up.")]])
+        self.assertTrue(notifier.speaks)
+        # Another episode cuts it, the end as well; after it nothing is said.
+        actions += [[1, 0, 2], [0, 0, 0], [0, 0, 0]]
+        self.assertEqual(said(notifier, episode=2), [("cut", 1, "Go up."), ("start", 0, "Go up.")])
+        self.assertEqual(said(notifier, episode=2), [("word", 0, "Go up.")])
+        self.assertEqual(said(notifier, episode=2, end=True), [("cut", 0, "Go up.")])
+        self.assertEqual([said(notifier, episode=2), said(notifier, episode=3)], [[("silent", None, None)]] * 2)
+        self.assertEqual(actions, [])
+        # What is never true is not said, and what has no words is.
+        for facts, words in [(None, {"topics": [{"topic": it["topic"], "utterances": sentences[:1]} for it in words["topics"]]}), (None, None)]:
+            actions[:] = [[1, 0, 2]]
+            (event,) = LocalNotifier(policy, words).step(np.zeros(8), facts=facts)
+            self.assertEqual((event["event"], event.get("k")), ("silent", None) if words else ("start", 4))
+        with self.assertRaisesRegex(ValueError, "no sentences for `shift_left`"):
+            LocalNotifier(policy, {"topics": [{"topic": "ascend", "utterances": sentences}]})
+        with self.assertRaisesRegex(ValueError, "8 numbers, this one has shape"):
+            notifier.step(np.zeros(7))
+        with self.assertRaisesRegex(ValueError, "not finite"):
+            notifier.step(np.full(8, np.nan))
+        policy.metadata = {**policy.metadata, "config": "", "domain": "cartpole"}
+        with self.assertRaisesRegex(ValueError, "nobody is spoken to in `cartpole`"):
+            LocalNotifier(policy)
+
+    def test_the_same_seed_says_the_same(self):
+        def starts(seed):
+            notifier = LocalNotifier(ROOT / "deploy/policies/piloting.safetensors", greedy=False, seed=seed)
+            return [event for step in range(60) for event in notifier.step([0.0, 1.4 - step / 40, 0.0, -0.3, 0.0, 0.0, 0.0, 0.0])]
+
+        self.assertEqual(starts(1), starts(1))
+        self.assertNotEqual(starts(1), starts(2))
 
     def test_a_file_that_is_no_policy_is_refused(self):
         from leadtime.policy import PolicyError
