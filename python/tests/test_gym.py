@@ -41,7 +41,7 @@ def told(*arguments, folder):
 def untrained(task, folder):
     """Lets a policy of a task learn for one update, and returns its file."""
     name = task.replace("_", "-")
-    told("up", "-c", task, "--actors", "1", "--stop-after", "1", "--name", name, "--quiet", folder=folder)
+    told("up", "-c", task, "--actors", "1", "--stop-after", "1", "--name", name, folder=folder)
     return Path(folder) / "runs" / name / "policy.safetensors"
 
 
