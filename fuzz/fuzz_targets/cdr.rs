@@ -11,7 +11,10 @@ use libfuzzer_sys::fuzz_target;
 fuzz_target!(|bytes: &[u8]| {
     if let Ok(numbers) = float32_array(bytes) {
         let numbers = numbers.as_flattened();
-        assert!(bytes.windows(numbers.len().max(1)).any(|window| window == numbers) || numbers.is_empty());
+        assert!(
+            bytes.windows(numbers.len().max(1)).any(|window| window == numbers)
+                || numbers.is_empty()
+        );
     }
     if let Some(text) = string(bytes)
         && !text.contains('\0')

@@ -5,9 +5,9 @@
 //! finding.
 #![no_main]
 
+use leadtime_serve::HeardSay;
 use leadtime_serve::heard::HeardReport;
 use leadtime_serve::observation::{LiveObservation, RAW_HEADER, write_json, write_raw};
-use leadtime_serve::HeardSay;
 use libfuzzer_sys::fuzz_target;
 
 const OBS_DIM: usize = 4;
@@ -16,7 +16,9 @@ fuzz_target!(|bytes: &[u8]| {
     let mut read = LiveObservation::new(OBS_DIM);
     if read.read_json(bytes).is_ok() {
         let mut again = LiveObservation::new(OBS_DIM);
-        again.read_json(&write_json(&read.head, &read.values)).expect("what was read can be written");
+        again
+            .read_json(&write_json(&read.head, &read.values))
+            .expect("what was read can be written");
         assert_eq!((again.head.seq, &again.values), (read.head.seq, &read.values));
     }
     let (beside, numbers) = bytes.split_at(bytes.len().min(RAW_HEADER));

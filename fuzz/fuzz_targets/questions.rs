@@ -12,7 +12,8 @@ use leadtime_web::axum::extract::Request;
 use libfuzzer_sys::fuzz_target;
 use tower::ServiceExt as _;
 
-fuzz_target!(|text: &str| {
+fuzz_target!(|bytes: &[u8]| {
+    let text = &*String::from_utf8_lossy(bytes);
     if let Ok((_, n_points)) = history_question(text) {
         assert!((1..=leadtime_proto::limits::MAX_HISTORY_POINTS).contains(&n_points));
     }

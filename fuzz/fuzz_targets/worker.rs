@@ -11,7 +11,7 @@ use leadtime_worker::protocol::{
 use libfuzzer_sys::fuzz_target;
 
 const SHAPE: FrameShape = FrameShape { obs_dim: 2, n_heads: 1, n_metrics: 1 };
-const TIMES: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(1));
+const SECOND: Duration = Duration::from_secs(1);
 
 fuzz_target!(|bytes: &[u8]| {
     drop(read_hello(bytes));
@@ -20,7 +20,6 @@ fuzz_target!(|bytes: &[u8]| {
         assert!(rows.iter().all(|row| row.observation.len() == SHAPE.obs_dim));
     }
     let mut reader = FrameReader::new(bytes);
-    let kind = (FrameKind::Stepped, "an answer");
     let most = SHAPE.max_stepped_bytes(rows.len());
-    while reader.answer(kind, most, TIMES, drop).is_ok() {}
+    while reader.answer(FrameKind::Stepped, most, SECOND, SECOND, drop).is_ok() {}
 });

@@ -2,6 +2,7 @@
 
 * ``leadtime.gym``: the worlds as Gymnasium environments (needs the package ``gymnasium``)
 * ``leadtime.policy``: policies of Leadtime in numpy
+* ``leadtime.notifier``: a notifier at work in this process, in numpy
 * ``leadtime.worker``: a Gymnasium environment of your own in a run (needs ``gymnasium``)
 * ``leadtime.live``: what a notifier at work says to your robot (needs ``eclipse-zenoh``)
 * ``leadtime.export``: policies as ONNX (needs ``onnx``)

@@ -10,8 +10,10 @@ import unittest
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import zenoh
 from leadtime.live import Lost, Notifier, Refused
+from leadtime.notifier import LocalNotifier
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = os.environ.get("LEADTIME", "leadtime")
@@ -55,6 +57,28 @@ class Live(unittest.TestCase):
         self.assertGreater(len(silent), 2)
         self.assertEqual(silent, again)
         self.assertEqual(len(silent), len(telling))
+
+    def test_a_notifier_in_this_process_says_the_same(self):
+        policy = ROOT / "deploy/policies/cooking.safetensors"
+        words = json.loads(subprocess.run([PROGRAM, "taxonomy", "export", "steakhouse", "--format", "json"], capture_output=True, check=True).stdout)
+        service = subprocess.Popen([PROGRAM, "serve", policy, "--listen", "tcp/127.0.0.1:0", "--action", "greedy"], stderr=subprocess.PIPE, text=True)
+        self.addCleanup(service.stderr.close)
+        self.addCleanup(service.wait, 10)
+        self.addCleanup(service.terminate)
+        line = next(line for line in service.stderr if "is at work at" in line)
+        own, draws, n_started = LocalNotifier(policy, words, greedy=True), np.random.default_rng(1), 0
+        # Which of several sentences comes first is drawn, and a generator of numpy's draws otherwise.
+        drawn = ("text", "words", "seq", "age", "at", "end")
+        with Notifier(re.search(r"tcp/\S+", line.split("at work at")[1])[0], "k", "steakhouse") as served:
+            for step in range(200):
+                sight = draws.random(own.obs_dim).round(2)
+                # Four episodes, of which the first ones end and the last is begun without an end.
+                told = {"episode": step // 50, "end": step in (40, 99), "facts": [fact["name"] for fact in served.answer["facts"]][: step % 3]}
+                ours, theirs = own.step(sight, **told), served.step(sight, **told)
+                n_started += sum(event["event"] == "start" for event in ours)
+                ours, theirs = ([{key: value for key, value in event.items() if key not in drawn} for event in events] for events in (ours, theirs))
+                self.assertEqual(ours, theirs, step)
+        self.assertGreater(n_started, 10)
 
     def test_who_is_refused_is_told_why(self):
         with self.assertRaisesRegex(Refused, "lander"):

@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use crate::support::{
     Finished, PATIENCE, Place, arguments, children, repository, result, signal, updates,
@@ -114,6 +115,33 @@ fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
     assert_eq!(pickled, expected, "a pickle puts an environment where its actions do");
 }
 
+/// Returns the most memory that a process has held so far, in bytes.
+fn peak_memory(id: u32) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{id}/status")).unwrap();
+    let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+    let kilobytes: u64 = peak.trim().trim_end_matches(" kB").parse().unwrap();
+    kilobytes << 10
+}
+
+#[test]
+fn what_a_worker_claims_to_send_costs_its_actor_no_memory() {
+    let place = Place::new();
+    for mode in ["garbage", "huge-frame"] {
+        let flag = place.file(&format!("{mode}.flag"));
+        let file = config(&place, mode, &format!("{mode} {flag}"), SPEC);
+        let up = place.start(&["up --actors 1 --steps 1e9 --name", mode, "-c", &file]);
+        wait_for_words(&up, "started again");
+        let now = updates(&place.run(mode));
+        wait_for_updates(&place.run(mode), now + 2);
+        let actor = children(up.id()).into_iter().find(|id| arguments(*id).contains(" actor "));
+        let peak = peak_memory(actor.unwrap());
+        // The program itself included.
+        assert!(peak < 64 << 20, "{mode}: {peak} bytes");
+        signal("TERM", up.id());
+        up.finish(PATIENCE).with_code(130);
+    }
+}
+
 /// Runs a learner, and an actor that is expected to end.
 fn actor_of(place: &Place, name: &str, mode: &str, options: &str) -> Finished {
     // The learner is told what the environments look like, and starts no worker.
@@ -182,7 +210,29 @@ fn a_worker_that_does_not_begin_is_wrong_input() {
     actor_of(&place, "missing", "", missing).with_code(2).saying(&["nobody-has-this-program"]);
     let file = config(&place, "asked", "cannot-import", "");
     let told = ["ModuleNotFoundError: No module named 'my_envs'"];
+    let began = Instant::now();
     place.finish(&["up --actors 1 -c", &file]).with_code(2).saying(&told);
+    // Three seconds are promised; a busy machine may take twice as long.
+    assert!(began.elapsed() < Duration::from_secs(6), "{:?}", began.elapsed());
+}
+
+#[test]
+fn an_actor_whose_worker_is_missing_ends_alone() {
+    let place = Place::new();
+    let (file, at) = (config(&place, "others", "", SPEC), place.endpoint("others"));
+    let learner = place.start(&["learner --steps 1e9 --listen", &at, "--name others -c", &file]);
+    wait_for_words(&learner, "run opened");
+    let mut other = place.start(&["actor --id other --trust-worker --connect", &at]);
+    wait_for_updates(&place.run("others"), 2);
+    let began = Instant::now();
+    let missing = ["actor --id lost --worker nobody-has-this-program --connect", &at];
+    place.finish(&missing).with_code(2).saying(&["nobody-has-this-program"]);
+    assert!(began.elapsed() < Duration::from_secs(6), "{:?}", began.elapsed());
+    let now = updates(&place.run("others"));
+    wait_for_updates(&place.run("others"), now + 2);
+    assert!(other.is_running(), "{}", other.stderr());
+    other.kill();
+    learner.kill();
 }
 
 #[test]
