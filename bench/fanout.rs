@@ -172,7 +172,8 @@ fn measure() {
                 let pulled = pull_all(&clients, PolicyVersion(version), sha256);
                 times.push(runtime.block_on(pulled));
             }
-            let cpu = learner.cpu().saturating_sub(before).as_secs_f64() * 1e3 / f64::from(N_VERSIONS);
+            let cpu =
+                learner.cpu().saturating_sub(before).as_secs_f64() * 1e3 / f64::from(N_VERSIONS);
             times.sort_unstable();
             let median = times[times.len() / 2].as_secs_f64() * 1e3;
             println!("{from:8} {n_clients:7} {median:22.2} {cpu:21.2}");
