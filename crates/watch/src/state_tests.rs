@@ -294,41 +294,12 @@ fn refusals_are_logged_once_by_cause() {
 }
 
 #[test]
-fn many_events_take_little_room_and_time() {
-    let started = std::time::Instant::now();
+fn many_events_take_little_room() {
     let mut view = at_update(20_000);
     for n in 0..1_000 {
         view.actor_joined(&format!("a{n}"), "01", 30_000.0);
     }
-    assert!(started.elapsed().as_secs() < 20, "{:?}", started.elapsed());
     let text = view.json(30_000.0).to_string();
     assert!(text.len() < 2 << 20, "{}", text.len());
     assert_eq!(view.log_after(0).count(), N_LOG);
-}
-
-/// What ten thousand events take, in a release build:
-///
-/// ```console
-/// cargo test --release -p leadtime-watch -- --ignored --nocapture ten_thousand_events
-/// ```
-#[test]
-#[ignore = "measures time, which says nothing in a test build or beside other work"]
-fn ten_thousand_events_are_taken_in_at_once() {
-    let lines: Vec<Value> = (1..=10_000).map(line).collect();
-    let take_in = |lines: Vec<Value>| {
-        let mut view = RunView::new("r");
-        view.learner_joined("01", 1000.0);
-        view.about(about(), 1000.0);
-        let started = std::time::Instant::now();
-        for (update, line) in (1_u64..).zip(lines) {
-            view.learner_says("01", line, 1000.0 + update as f64);
-        }
-        (started.elapsed(), view.newest())
-    };
-    let taken = [0; 3].map(|_| take_in(lines.clone()));
-    assert!(taken.iter().all(|(_, newest)| *newest == 10_000));
-    let [first, second, third] = taken.map(|(time, _)| time);
-    println!("10,000 events: {first:?}, {second:?}, {third:?}");
-    let best = first.min(second).min(third);
-    assert!(cfg!(debug_assertions) || best.as_millis() < 50, "{best:?}");
 }
