@@ -376,7 +376,7 @@ pub(crate) struct UpArgs {
     /// Also serve a live page of the run here: `127.0.0.1:8080`; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS")]
     pub watch: Option<String>,
-    /// Print the page's address and how the run ended as JSON, one object a line.
+    /// Print the page's address, the lags that `--choose-lag` has tried and how the run ended as JSON, one object a line.
     #[arg(long)]
     pub json: bool,
     #[command(flatten)]

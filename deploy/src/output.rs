@@ -9,6 +9,7 @@ use std::ffi::OsString;
 use std::fmt::Display;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
+use std::os::unix::fs::FileTypeExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
@@ -113,7 +114,13 @@ fn writing(path: &Path) -> String {
 /// Makes sure that [`file()`] can write there, and leaves nothing behind: long work must not end with a refusal.
 pub(crate) fn check_file(path: &Path) -> anyhow::Result<()> {
     if is_stream(path) {
-        return Ok(());
+        let is_pipe = fs::metadata(path).with_context(|| writing(path))?.file_type().is_fifo();
+        // Opening a pipe waits for its reader.
+        return if is_pipe {
+            Ok(())
+        } else {
+            stream(path).map(drop).with_context(|| writing(path))
+        };
     }
     let meant = meant(path);
     if meant.is_dir() {
@@ -275,7 +282,8 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         check_file(&place.path().join("new.txt")).unwrap();
         assert_eq!(fs::read_dir(place.path()).unwrap().count(), 0);
-        for path in [place.path().join("none/new.txt"), place.path().to_owned()] {
+        let closed = PathBuf::from("/dev/fd/999");
+        for path in [place.path().join("none/new.txt"), place.path().to_owned(), closed] {
             let told = check_file(&path).unwrap_err().to_string();
             assert_eq!(told, format!("writing {}", path.display()));
         }

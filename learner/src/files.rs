@@ -22,7 +22,7 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// A file that is written piece by piece and replaces another one in one step, as [`write_atomically`] does; removed if it is let
-/// go before.
+/// go before. A process that is killed leaves `<name>.<process id>.partial` behind.
 #[derive(Debug)]
 pub struct PartialFile {
     path: PathBuf,
@@ -48,7 +48,8 @@ impl PartialFile {
     ///
     /// # Errors
     ///
-    /// If it cannot be flushed to the disk or renamed; the old content then stays.
+    /// If it cannot be flushed to the disk or renamed; the old content then stays, unless it is only the directory that cannot be
+    /// flushed.
     pub fn place(mut self) -> io::Result<()> {
         self.file.sync_all()?;
         fs::rename(&self.partial, &self.path)?;

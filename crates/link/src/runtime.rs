@@ -14,7 +14,7 @@ use serde::Deserialize;
 /// The variable; a value that the person has set is theirs.
 pub const RUNTIME_VARIABLE: &str = "ZENOH_RUNTIME";
 /// Threads that may block, for each runtime in which connections end, open and receive: more than twice the connections
-/// that may be opening at once (1,000) and than the senders that a learner may be told to serve at once (1,000 actors),
+/// that may be opening at once (1,000), and more than twice the actors that a learner may be told to serve (1,000),
 /// because a connection may still be ending while its successor opens. A thread is started only when it is needed.
 const N_BLOCKING: usize = 2_048;
 /// Threads that do the upkeep of connections: with one, whatever waits there holds up all connections.

@@ -252,11 +252,11 @@ async fn connections_that_say_nothing_keep_nobody_out_and_are_given_up() {
     let endpoint: Endpoint = learner.locators()[0].parse().unwrap();
     let address = endpoint.as_str().strip_prefix("tcp/").unwrap();
     let mut silent = Vec::new();
+    let started = Instant::now();
     for _ in 0..N {
         silent.push(TcpStream::connect(address).await.unwrap());
     }
     let connect = ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
-    let started = Instant::now();
     let (actor, _told) = ActorLink::open(&connect, &actor_id("a"), &start("a")).await.unwrap();
     say_hello(&actor, "a", &events).await;
     // As the library is set by itself, a hundred of them keep everybody out for ten seconds.

@@ -135,8 +135,8 @@ fn append_to(path: &Path) -> io::Result<File> {
         }
         error
     })?;
-    // One whose reader has stopped would do the same as soon as it is full, so there it stays.
-    if !file.metadata()?.file_type().is_fifo() {
+    // One whose reader has stopped would do the same as soon as it is full, and so would a terminal that is halted.
+    if file.metadata()?.is_file() {
         fcntl_setfl(&file, OFlags::APPEND)?;
     }
     Ok(file)

@@ -14,6 +14,7 @@ use std::fmt;
 use std::io;
 
 use leadtime_config::Config;
+use leadtime_proto::phrase::counted;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use thiserror::Error;
 
@@ -32,7 +33,8 @@ pub struct Placement {
 pub enum NotPlaced {
     /// The learner would leave none to actors.
     #[error(
-        "the learner's {n_threads} threads (`learner.threads`) leave none of {n_cpus} CPUs to actors"
+        "the learner trains on {}, which leaves none of {} to actors (see `learner.threads`)",
+        counted(*n_threads, "thread"), counted(*n_cpus, "CPU")
     )]
     TooFew {
         /// CPUs of the learner.
@@ -93,13 +95,14 @@ pub(crate) fn allowed() -> io::Result<Vec<usize>> {
 
 /// Starts a process that keeps to these CPUs, or may use all that this thread may if there are none.
 pub(crate) fn start_on<T>(cpus: &[usize], start: impl FnOnce() -> io::Result<T>) -> io::Result<T> {
-    if cpus.is_empty() {
-        return start();
-    }
     let ours = sched_getaffinity(None)?;
     let mut theirs = CpuSet::new();
-    for &cpu in cpus {
+    // One that was taken away since the run began ends nothing.
+    for &cpu in cpus.iter().filter(|&&cpu| ours.is_set(cpu)) {
         theirs.set(cpu);
+    }
+    if theirs.count() == 0 {
+        return start();
     }
     sched_setaffinity(None, &theirs)?;
     let started = start();

@@ -137,7 +137,7 @@ struct KeptSession {
 /// Why the kept state of a session cannot be read.
 #[derive(Debug, Error)]
 enum KeptFault {
-    /// It was torn, or changed.
+    /// It was torn or changed, or a release without checksums wrote it.
     #[error("its checksum is wrong")]
     Checksum,
     /// Another release wrote it.

@@ -9,7 +9,7 @@ use leadtime_proto::Schedule;
 use leadtime_runs::launch::Launch;
 use leadtime_runs::{Naming, Placement, Tasks};
 use leadtime_table::Table;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tokio_util::sync::CancellationToken;
 
 use super::launch::{carry_out, outcome};
@@ -78,7 +78,7 @@ pub(super) async fn choose(
         rates.push((lag, rate));
     }
     let chosen = smallest_enough(&rates);
-    print(&rates, chosen);
+    print(&rates, chosen, args.json);
     Ok(Override::new("learner.lag", chosen))
 }
 
@@ -116,7 +116,11 @@ fn smallest_enough(rates: &[(i64, f64)]) -> i64 {
     enough.map_or(TRIED[0], |(lag, _)| *lag)
 }
 
-fn print(rates: &[(i64, f64)], chosen: i64) {
+fn print(rates: &[(i64, f64)], chosen: i64, as_json: bool) {
+    if as_json {
+        let tried = rates.iter().map(|(lag, rate)| json!({"lag": lag, "steps_per_second": rate}));
+        return output::json(&json!({"tried": tried.collect::<Vec<_>>(), "lag": chosen}));
+    }
     let mut table = Table::new(["learner.lag", "steps/s", ""].map(str::to_owned)).left(&[2]);
     for &(lag, rate) in rates {
         let note = if lag == chosen { "taken" } else { "" };

@@ -55,7 +55,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     }
     if state == RunState::Finished {
         service::ready();
-        tell_finished(&run_dir);
+        tell_finished(&run_dir, args.json);
         return Ok(());
     }
     if let Some(rounded) = config.rounded_steps() {
@@ -116,8 +116,18 @@ fn open_recorder(run_dir: &RunDir, config: &Config) -> Result<RunRecorder, Failu
     Ok(recorder.keeping(run_dir.record.clone()))
 }
 
-/// Says that there is nothing to train, and what to do.
-fn tell_finished(run_dir: &RunDir) {
+/// Says that there is nothing to train, and what to do; as JSON, how the run ended.
+fn tell_finished(run_dir: &RunDir, as_json: bool) {
+    if let (true, Some(result)) = (as_json, &run_dir.record.result) {
+        output::json(&json!({
+            "run": run_dir.path.display().to_string(),
+            "end": result.end,
+            "updates": result.updates,
+            "steps": result.steps,
+            "weights_sha256": result.weights_sha256,
+            "books": result.books,
+        }));
+    }
     let (name, path) = (&run_dir.name, run_dir.path.display());
     let setting = match run_dir.record.result.as_ref().map(|result| result.end) {
         Some(ResultCause::StopAt) => "evaluation.stop_at, or leave it out,",

@@ -30,6 +30,7 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
         ([run], None) => own_page(run).blame(ExitCode::WrongInput)?,
         _ => return Err(Failure::input("several runs: --out FILE says where their page goes")),
     };
+    output::check_file(&page).blame(ExitCode::WrongInput)?;
     let request = EvaluationRequest { episodes: args.episodes, action: *action, seed: *eval_seed };
     let findings = match (&files[..], &policies[..]) {
         ([run], [policy]) => {

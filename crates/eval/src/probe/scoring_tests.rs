@@ -99,7 +99,7 @@ fn noise_is_no_better_than_a_constant_and_rare_stages_are_not_scored() {
 }
 
 #[test]
-fn what_cannot_be_known_is_said_in_one_sentence() {
+fn unknown_values_are_named_in_one_sentence() {
     let refuse = |make: &MakeEnvironment<'_>, player: &Player, n_episodes| {
         let settings = PlaySettings::new(n_episodes, 11);
         probe(make, player, &settings, BOOTSTRAP).unwrap_err().to_string()

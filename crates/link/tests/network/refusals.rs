@@ -119,7 +119,7 @@ async fn delete(session: &Session, key: &str) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_deleted_or_has_no_header_on_the_keys_of_a_live_actor_is_charged_to_nobody() {
+async fn deletes_and_messages_without_header_on_a_live_actors_keys_are_charged_to_nobody() {
     // More than what would cut its sender off, if it had one.
     const N: usize = REFUSALS_BEFORE_CUT_OFF as usize + 4;
     let site = Site::new();

@@ -32,10 +32,19 @@ async fn joins(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_reads_everything_is_sent_no_rollouts() {
-    let site = Site::new();
-    let (_learner, events) = site.learner().await;
-    let reader = site.raw("client").await;
+async fn a_reader_of_everything_is_sent_no_rollouts() {
+    let unix = Site::new();
+    // The library makes other subjects of who comes by TCP.
+    for listen in [unix.listen(), ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()])] {
+        reader_is_sent_no_rollouts(&listen).await;
+    }
+}
+
+async fn reader_is_sent_no_rollouts(listen: &ListenSettings) {
+    let (learner, events) =
+        LearnerLink::open(&run("one"), DOMAIN, &learner_start(), listen).await.unwrap();
+    let endpoint: leadtime_link::Endpoint = learner.locators()[0].parse().unwrap();
+    let reader = raw_at("client", endpoint.as_str()).await;
     let (sender, heard) = flume::bounded(1_024);
     let mut held = Vec::new();
     for keys in ["**", "leadtime/1/*/traj/**", "leadtime/1/one/traj/cue_recall/a"] {
@@ -46,7 +55,9 @@ async fn who_reads_everything_is_sent_no_rollouts() {
         held.push(reader.declare_subscriber(keys).callback(take).await.unwrap());
     }
     look_at(&reader).await;
-    let (actor, _actor_events) = site.welcomed("a", &events).await;
+    let connect = ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint]) };
+    let (actor, _told) = ActorLink::open(&connect, &actor_id("a"), &start("a")).await.unwrap();
+    say_hello(&actor, "a", &events).await;
     for sequence in 1..=8 {
         delivers(&actor, "a", sequence, &events).await;
     }
