@@ -32,7 +32,8 @@ def benches(folder):
 def run(file):
     lines = [json.loads(line) for line in Path(file).read_text().splitlines()]
     rates = [rate for rate in (line.get("system/steps_per_second") for line in lines) if rate]
-    print(round(statistics.median(rates[len(rates) // 2 :])))
+    if rates:
+        print(round(statistics.median(rates[len(rates) // 2 :])))
 
 
 def rounds(file):

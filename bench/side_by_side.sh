@@ -38,6 +38,7 @@ for part in "$@"; do
     fi
 done
 
+[ -z "${LEADTIME:-}" ] || LEADTIME=$(realpath "$LEADTIME")
 cd "$(dirname "$0")/.."
 # Before the number of threads is set, which would be the answer.
 n_cores=$(nproc)
@@ -85,12 +86,13 @@ peer() { ${cores[@]+"${cores[@]}"} "$python" "$@" || echo "skipped: $1 failed"; 
 
 # whole NAME OPTION...: notes the rate of a run of ours.
 whole() {
-    local name=$1
+    local name=$1 rate
     shift
     rm -rf "$work/runs"
     if ${two_cores[@]+"${two_cores[@]}"} "$LEADTIME" up "$@" --steps 1e6 --set evaluation.during_training=0 \
         --runs "$work/runs" --name run </dev/null >"$work/said" 2>&1; then
-        printf '%s\t%s\n' "$name" "$(python3 bench/rates.py run "$work/runs/run/metrics.jsonl")" >>"$work/rates"
+        rate=$(python3 bench/rates.py run "$work/runs/run/metrics.jsonl")
+        [ -z "$rate" ] || printf '%s\t%s\n' "$name" "$rate" >>"$work/rates"
     else
         echo "failed: leadtime up $*"
         tail -n 3 "$work/said"

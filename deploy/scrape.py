@@ -18,7 +18,7 @@ from pathlib import Path
 
 # For the run to be there, and then for its numbers to be: both in seconds.
 RUN_PATIENCE = 60
-SCRAPE_PATIENCE = 15
+SCRAPE_PATIENCE = 60
 RUN = "-c cartpole --seed 3 --name scraped --set learner.n_steps=64 --set learner.total_steps=1000000000 --status 127.0.0.1:0"
 CONFIG = """\
 global: {scrape_interval: 1s, scrape_timeout: 1s}

@@ -102,6 +102,11 @@ class Sentences:
         return sentences[turn][0], cell != asked
 
 
+def is_number(value):
+    """Tells whether a value can be the number of an episode, or a seed."""
+    return isinstance(value, (int, np.integer)) and value >= 0
+
+
 class LocalNotifier:
     """A notifier at work in this process.
 
@@ -110,6 +115,8 @@ class LocalNotifier:
     """
 
     def __init__(self, policy, words=None, *, greedy=None, seed=0):
+        if not is_number(seed):
+            raise ValueError(f"a seed is a whole number from 0 on, not {seed!r}")
         self.policy = policy if hasattr(policy, "act") else load(policy)
         config = tomllib.loads(self.policy.metadata.get("config", ""))
         heads = dict(self.policy.heads)
@@ -160,6 +167,10 @@ class LocalNotifier:
             raise ValueError(f"an observation has {self.obs_dim} numbers, this one has shape {sight.shape}")
         if not np.isfinite(sight).all():
             raise ValueError("the observation holds a number that is not finite")
+        if not is_number(episode):
+            raise ValueError(f"an episode is a whole number from 0 on, not {episode!r}")
+        if isinstance(facts, str):
+            raise ValueError(f"facts are a list of names, not {facts!r}")
         self._events = []
         is_new = episode != self._episode
         if is_new or end:

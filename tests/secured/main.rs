@@ -173,7 +173,7 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     let actor = start();
     goes_on();
     let (n_left, n_joined) = (n_said("actor left"), n_said("actor joined"));
-    wait_until("its certificate has ended", PATIENCE, || n_said("actor left") > n_left);
+    wait_until("its certificate has ended", lifetime + PATIENCE, || n_said("actor left") > n_left);
     issue(90 * DAY);
     let replaced = Instant::now();
     wait_until("it is back", PATIENCE, || n_said("actor joined") > n_joined);

@@ -167,7 +167,7 @@ test('an actor that stands still is red, or struck through once it counts as gon
   const stopped = Date.now();
   frozen.child.kill('SIGSTOP');
   const row = page.locator('tr.silent[data-actor=a], tr.gone[data-actor=a]');
-  await row.waitFor({ timeout: 5_000 });
+  await row.waitFor({ timeout: 20_000 });
   t.diagnostic(`${await row.getAttribute('class')} ${Date.now() - stopped} ms after it was stopped`);
   frozen.child.kill('SIGCONT');
   await until('it is back', async () => (await well('a')) === 1);

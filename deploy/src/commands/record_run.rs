@@ -2,7 +2,8 @@
 
 use std::fs::File;
 use std::io::BufWriter;
-use std::time::Instant;
+use std::pin::pin;
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
@@ -12,7 +13,7 @@ use leadtime_proto::RunName;
 use leadtime_proto::phrase::counted;
 use leadtime_recording::{RecordedTopic, RecordingWriter};
 use serde_json::Value;
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_util::sync::CancellationToken;
 
 use super::record::{FLUSH_EVERY, RecordFailure, arrived, begin, close, create, end, stop_after};
@@ -20,6 +21,9 @@ use crate::cli::RecordArgs;
 use crate::credentials::{dialling_failure, notifier_settings};
 use crate::ending::{Watch, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
+
+/// The longest until a learner that is there is seen.
+const SEEN_WITHIN: Duration = Duration::from_secs(5);
 
 pub(super) async fn run(args: &RecordArgs, name: &str) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
@@ -58,7 +62,9 @@ async fn record(
 ) -> Result<(), RecordFailure> {
     let mut flushes = interval(FLUSH_EVERY);
     flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut n_missed, mut is_lost) = (0, false);
+    let (mut n_missed, mut is_seen, mut is_lost) = (0, false, false);
+    // One that was killed before it was seen here leaves without a word.
+    let mut first_look = pin!(sleep(SEEN_WITHIN));
     loop {
         tokio::select! {
             () = stop.cancelled() => return Ok(()),
@@ -76,15 +82,22 @@ async fn record(
                     }
                 }
                 Some(ObserverEvent::Left(Member::Learner, _)) => {
-                    is_lost = true;
-                    tracing::warn!("the learner of run `{run}` is gone: looking for it until Ctrl-C");
+                    (is_seen, is_lost) = (true, true);
+                    warn_of_loss(run);
                 }
-                Some(ObserverEvent::Joined(Member::Learner, _)) if std::mem::take(&mut is_lost) => {
-                    tracing::info!("the learner of run `{run}` is back");
+                Some(ObserverEvent::Joined(Member::Learner, _)) => {
+                    is_seen = true;
+                    if std::mem::take(&mut is_lost) {
+                        tracing::info!("the learner of run `{run}` is back");
+                    }
                 }
                 Some(_) => {}
                 None => return Ok(()),
             },
+            () = &mut first_look, if !is_seen => {
+                (is_seen, is_lost) = (true, true);
+                warn_of_loss(run);
+            }
             _ = flushes.tick() => {
                 writer.flush()?;
                 let missed = link.n_missed();
@@ -96,4 +109,8 @@ async fn record(
             }
         }
     }
+}
+
+fn warn_of_loss(run: &RunName) {
+    tracing::warn!("the learner of run `{run}` is gone: looking for it until Ctrl-C");
 }
