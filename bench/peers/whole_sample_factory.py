@@ -19,6 +19,10 @@ except ImportError as missing:
     sys.exit(0)
 
 
+# What it makes on two cores, roughly.
+STEPS_PER_SECOND = 5_000
+
+
 def make(_name, _cfg, _env_config, render_mode=None):
     # Sample Factory holds Gymnasium below 1.0, whose lander is numbered 2; the difference (wind, at rest) is not in speed.
     name = "LunarLander-v3" if "LunarLander-v3" in gym.registry else "LunarLander-v2"
@@ -26,11 +30,12 @@ def make(_name, _cfg, _env_config, render_mode=None):
 
 
 def main():
-    seconds = sys.argv[1] if len(sys.argv) > 1 else "60"
+    # It may train on long after `train_for_seconds`, so it is told steps: as many as two cores make in that time.
+    n_steps = STEPS_PER_SECOND * int(sys.argv[1] if len(sys.argv) > 1 else "60")
     register_env("lander", make)
     with tempfile.TemporaryDirectory() as folder:
         argv = ["--algo=APPO", "--env=lander", "--experiment=bench", f"--train_dir={folder}", "--device=cpu",
-                f"--train_for_seconds={seconds}", "--num_workers=2", "--num_envs_per_worker=8", "--rollout=128",
+                f"--train_for_env_steps={n_steps}", "--num_workers=2", "--num_envs_per_worker=8", "--rollout=128",
                 "--batch_size=512", "--num_batches_per_epoch=4", "--num_epochs=4", "--use_rnn=False",
                 "--encoder_mlp_layers", "64", "64", "--nonlinearity=tanh", "--with_wandb=False",
                 "--normalize_input=False", "--normalize_returns=False"]
