@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
 """What it costs a run to be looked at, on the same cores.
 
-    bench/observed.py [--seconds 50] [--pages 5] [--tls]
+    bench/observed.py [--seconds 50] [--turn 2.6] [--pages 5] [--tls]
 
 One learner and one actor train on the default task, while in turns nobody looks, /metrics is scraped once a second, pages of a
-watcher are open without the playthrough, and with it. Each turn is compared with the turns before and after it in which nobody
+watcher are open without the playthrough, and with it; `--kinds all` is scraped and one page with it at once. Each turn is compared with the turns before and after it in which nobody
 looks, so what changes over the run and on the machine counts for both. A page is a stream of events that is read (`curl`): the browser
-that draws it is somewhere else. Prints steps a second, the median of the shares, and which share of all cores those who
-look take. Touches only processes that it has started, and files in a temporary directory. PROGRAM names the program where it is not target/release/leadtime.
+that draws it is somewhere else. Prints steps a second, the mean of the shares with its standard error, and which share of all cores those who
+look take. Single updates vary by a tenth: a percent needs turns of 8 s for some 25 minutes. Touches only processes that it has started, and files in a temporary directory. PROGRAM names the program where it is not target/release/leadtime.
 """
 
 import argparse
@@ -26,8 +26,8 @@ import urllib.request
 from pathlib import Path
 
 PROGRAM = Path(os.environ.get("PROGRAM", Path(__file__).resolve().parent.parent / "target/release/leadtime"))
-# Seconds until the run is at its pace, of one turn, and at its beginning that do not count: a watcher starts in them.
-WARM_UP, TURN, SETTLE = 4, 2.6, 1.0
+# Seconds until the run is at its pace, and at the beginning of a turn that do not count: a watcher starts in them.
+WARM_UP, SETTLE = 4, 1.0
 KINDS = ["scraped", "pages", "played"]
 
 
@@ -81,13 +81,14 @@ class Place:
 
     def look(self, kind):
         """Starts those who look."""
-        if kind == "scraped":
+        if kind in ("scraped", "all"):
             self.scraping.set()
+        if kind == "scraped":
             return []
-        play = [] if kind == "played" else ["--play", "off"]
+        play = ["--play", "off"] if kind == "pages" else []
         watcher = self.start("watch", "--connect", self.learner, "--http", self.page, *play, *self.identity("o1"))
         reading = ["-sN", "--retry", "20", "--retry-connrefused", "--retry-delay", "0", f"http://{self.page}/events"]
-        return [watcher, *(self.start(*reading, program="curl") for _ in range(self.options.pages))]
+        return [watcher, *(self.start(*reading, program="curl") for _ in range(1 if kind == "all" else self.options.pages))]
 
     def lines(self):
         """How many updates the run has made so far."""
@@ -104,7 +105,7 @@ class Place:
         looking = self.look(kind) if kind else []
         time.sleep(SETTLE)
         first, used, began = self.lines(), seconds_of(looking), time.monotonic()
-        time.sleep(TURN - SETTLE)
+        time.sleep(self.options.turn - SETTLE)
         rate, used = self.rate(first), seconds_of(looking) - used
         share = used / (time.monotonic() - began) / os.cpu_count()
         self.scraping.clear()
@@ -127,6 +128,7 @@ class Place:
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=50, help="for the whole of it")
+    parser.add_argument("--turn", type=float, default=2.6, help="seconds of one turn")
     parser.add_argument("--pages", type=int, default=5)
     parser.add_argument("--tls", action="store_true", help="encrypted, with a list of who may do what")
     parser.add_argument("--task", default="lander")
@@ -145,7 +147,7 @@ def main():
             time.sleep(WARM_UP)
             before, shares, alone = place.turn(None)[0], {}, []
             for i in range(10**6):
-                if time.monotonic() + 2 * TURN + 2 > deadline:
+                if time.monotonic() + 2 * options.turn + 2 > deadline:
                     break
                 kind = kinds[i % len(kinds)]
                 (watched, used), (after, _) = place.turn(kind), place.turn(None)
@@ -157,8 +159,9 @@ def main():
     print(f"alone    {statistics.median(alone):8.0f} steps/s, {min(alone):.0f} to {max(alone):.0f}")
     for kind, found in shares.items():
         rates, parts, used = zip(*found)
-        each = ", ".join(f"{100 * part:.1f}" for part in parts)
-        print(f"{kind:8} {statistics.median(rates):8.0f} steps/s, {100 * statistics.median(parts):.1f} % of alone ({each}); takes {100 * statistics.median(used):.2f} % of all cores")
+        error = f"{100 * statistics.stdev(parts) / len(parts) ** 0.5:.1f}" if len(parts) > 1 else "?"
+        print(f"{kind:8} {statistics.median(rates):8.0f} steps/s, {100 * statistics.mean(parts):.1f} % of alone (standard error {error}, {len(parts)} turns); "
+              f"takes {100 * statistics.median(used):.2f} % of all cores")
 
 
 if __name__ == "__main__":

@@ -27,8 +27,8 @@ from reckoning import FIGURES, Site, amount, least_lag, tables
 PAGE = Path(__file__).resolve().parent.parent / "docs/scale.md"
 CORES = len(os.sched_getaffinity(0))
 LEARNER, ACTORS = "10.78.0.1", "10.78.0.2"
-# Milliseconds that each byte is on the slow line, each way.
-DELAY = 5
+# Milliseconds that each byte is on the slow line, each way: hosts of one region, and hosts of two continents.
+DELAY, FAR = 5, 50
 # The share of the machine that other work may take.
 QUIET = 0.1
 # Seconds of CPU that a step of the slow world takes.
@@ -53,6 +53,8 @@ LEARNING = ["learner.n_envs=256", "learner.n_minibatches=64", "learner.mode=lag"
 # The slow world: 4,096 steps in minibatches of 256. CartPole as small as many of its users have it: 1,024 steps.
 SLOW = ["learner.n_envs=64", "learner.n_minibatches=16", "learner.n_steps=64"]
 SMALL = ["learner.n_envs=16", "learner.n_minibatches=4", "learner.n_steps=64"]
+# CartPole across an ocean, and the lags that are tried there.
+LONG, LONG_LAGS = ["learner.n_envs=16", "learner.n_minibatches=16", "learner.n_steps=256"], (1, 4, 8, 16, 24)
 
 
 def arguments():
@@ -345,6 +347,9 @@ class Bench:
             task = "cartpole" if settings is SMALL else "slow"
             for delay in (0, DELAY):
                 measure("line", f"{task}, {' '.join(mode)}, {delay} ms", task, CORES, settings + mode, seconds, delay)
+        for lag in () if quick else LONG_LAGS:
+            for delay in (0, FAR):
+                measure("line", f"cartpole, lag {lag}, {delay} ms", "cartpole", 1, [*LONG, "learner.mode=lag", f"learner.lag={lag}"], seconds, delay)
 
 
 def busy():
@@ -423,8 +428,8 @@ def line_table(figures):
     if not is_quiet(figures):
         return "Left out: the machine was busy."
     cells = figures["line"]
-    lines = [f"| task | settings | steps/s without a line | with {DELAY} ms each way | kept | an update without a line | least lag, reckoned |",
-             "|---|---|---|---|---|---|---|"]
+    lines = ["| task | settings | steps/s without a line | ms each way | steps/s with it | kept | an update without a line | least lag, reckoned |",
+             "|---|---|---|---|---|---|---|---|"]
     for near in (cell for cell in cells if not cell["delay"]):
         same = (cell for cell in cells if cell["delay"] and (cell["task"], cell["settings"]) == (near["task"], near["settings"]))
         far = next(same, None)
@@ -433,8 +438,8 @@ def line_table(figures):
         rates = [cell["steps"] / cell["seconds"] for cell in (near, far)]
         update = near["seconds"] / near["updates"]
         mode = ", ".join(f"`{setting}`" for setting in near["settings"] if re.search(r"mode|lag", setting))
-        lines.append(f"| `{near['task']}`, {near['steps'] // near['updates']:,} steps an update | {mode} | {rates[0]:,.0f} | {rates[1]:,.0f} | "
-                     f"{100 * rates[1] / rates[0]:.0f} % | {1_000 * update:.0f} ms | {least_lag(2e-3 * DELAY, update)} |")
+        lines.append(f"| `{near['task']}`, {near['steps'] // near['updates']:,} steps an update | {mode} | {rates[0]:,.0f} | {far['delay']} | {rates[1]:,.0f} | "
+                     f"{100 * rates[1] / rates[0]:.0f} % | {1_000 * update:.0f} ms | {least_lag(2e-3 * far['delay'], update)} |")
     return "\n".join(lines)
 
 
