@@ -32,7 +32,7 @@ use crate::metrics::Metrics;
 use crate::outbox::EncodedRollout;
 use crate::phases::{self, CollectWait};
 use crate::sink::ActorSink;
-use crate::state::{Actor, ActorInput, ActorOutput};
+use crate::state::{Actor, ActorInput, ActorOutput, MAX_PULLS};
 use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 
 /// How often time-outs are looked at and metrics are published.
@@ -201,8 +201,8 @@ impl Process {
             collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
             restorer: JobThread::start("actor-restore", 1, restore)?,
             publisher: JobThread::start("actor-publish", 1, publish)?,
-            // A hello and a pull at most are under way: each has a place, so no task waits to hand in its result.
-            tasks: mpsc::channel(2),
+            // A hello and as many pulls are under way at most: each has a place, so no task waits to hand in its result.
+            tasks: mpsc::channel(MAX_PULLS + 1),
             n_steps: spec.n_steps,
             metrics: Metrics::default(),
             waits_for: CollectWait::Environments,

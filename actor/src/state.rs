@@ -49,8 +49,8 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
 /// members twice a second, so an actor without credit is not a member.
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
-/// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 40 a second.
-const MAX_PULLS: usize = 4;
+/// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 160 a second.
+pub(crate) const MAX_PULLS: usize = 16;
 /// The most assignments that wait while one is being restored, and the most repetitions of one. A learner gives a few.
 const MAX_ORDERS: usize = 64;
 /// The pause between two lines in the log about a learner that does not answer.

@@ -7,7 +7,8 @@ use leadtime_learner::{Build, LearnerConfig};
 use leadtime_link::{ListenSettings, StartKey};
 use leadtime_ppo::LearnerSettings;
 use leadtime_ppo::settings::MAX_THREADS;
-use leadtime_proto::{RunSpec, hex};
+use leadtime_proto::limits::MAX_WINDOW;
+use leadtime_proto::{RunSpec, Schedule, hex};
 
 use crate::{ProgramBuild, RunDir, RunDirError};
 
@@ -39,7 +40,7 @@ pub fn learner_config(
             threads: learner_threads(config, n_local_actors),
             ..config.learner.clone()
         },
-        window: config.window,
+        window: window(config),
         actors_min: config.run.actors_min as usize,
         listen,
         build: Build { program: build.program, cpu: build.cpu },
@@ -51,6 +52,16 @@ pub fn learner_config(
         identity: identity::of_run(&config.table),
         earlier: run_dir.record.changes.iter().filter_map(|it| hex::decode(&it.identity)).collect(),
     })
+}
+
+/// Returns how many rollouts an actor may have unacknowledged: as configured, or what a lag lets it make if that is more.
+///
+/// With fewer an actor that has all environments would wait for acknowledgements, and a larger lag would bridge no longer line.
+fn window(config: &Config) -> u32 {
+    let Schedule::Lag(lag) = config.learner.schedule() else { return config.window };
+    // Those of the update that is trained, of those ahead of it, and of one more, as what arrives is acknowledged with the next update.
+    let ahead = (lag + 2).saturating_mul(config.learner.n_envs as u64);
+    u32::try_from(ahead).unwrap_or(u32::MAX).min(MAX_WINDOW).max(config.window)
 }
 
 /// Returns how many threads share an update of a learner beside so many actors on the same machine.
@@ -65,4 +76,27 @@ pub(crate) fn learner_threads(config: &Config, n_local_actors: usize) -> usize {
 fn free_cores(n_local_actors: usize) -> usize {
     let n_cores = available_parallelism().map_or(1, usize::from);
     n_cores.saturating_sub(n_local_actors).clamp(1, MAX_THREADS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::config;
+
+    #[test]
+    fn an_actor_may_have_on_its_way_what_the_lag_lets_it_make() {
+        let place = tempfile::tempdir().unwrap();
+        for (set, expected) in [
+            (&["learner.mode=sync", "learner.n_envs=16"][..], 64),
+            (&["learner.mode=lag", "learner.lag=1", "learner.n_envs=16"], 64),
+            (&["learner.mode=lag", "learner.lag=16", "learner.n_envs=16"], 288),
+            (&["learner.mode=lag", "learner.lag=64", "learner.n_envs=256"], MAX_WINDOW),
+            (&["learner.mode=async", "learner.lag=64", "learner.n_envs=256"], 64),
+            (&["learner.mode=lag", "learner.lag=1", "learner.n_envs=16", "actor.window=500"], 500),
+        ] {
+            let n_steps = "learner.n_steps=16";
+            let set = [set, &["learner.n_minibatches=4", n_steps]].concat();
+            assert_eq!(window(&config(place.path(), "cartpole", "", &set)), expected, "{set:?}");
+        }
+    }
 }
