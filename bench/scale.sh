@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# How a run scales: the learner's CPU with 1 to 256 actors, a slow world on all cores, and the same over a line of 5 ms.
+# How a run scales: the learner's CPU with 1 to 256 actors, a slow world on all cores, and the same over lines of 5 and of 50 ms.
 #
 #     bench/scale.sh [--quick] [--seconds N] [--write]     a quarter of an hour; --quick: a minute, to see that everything works
 #
