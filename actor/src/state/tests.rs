@@ -203,15 +203,15 @@ fn an_actor_without_credit_asks_again_less_and_less_often() {
 
 #[test]
 fn environments_that_went_on_elsewhere_are_let_go_and_others_asked_for() {
-    let mut bench = Bench::with_weights(5..=9);
+    let mut bench = Bench::with_weights(5..=40);
     // The order was followed too late: the learner has given this actor up, and its weights are gone.
     let told = bench.follow(1, 1, 4);
     let pulled = told.iter().filter_map(|output| match output {
         ActorOutput::Pull { version, .. } => Some(version.0),
         _ => None,
     });
-    // What it needs first, and what it will need.
-    assert_eq!(pulled.collect::<Vec<_>>(), [4, 5, 6, 7]);
+    // What it needs first, and what it will need, as much of it as may be under way.
+    assert!(pulled.eq(4..4 + MAX_PULLS as u64));
     let told = bench.give(ActorInput::PullFailed { version: PolicyVersion(4), not_kept: true });
     assert_eq!(names(&told), ["hello"]);
     assert_eq!(names(&bench.welcomed(LEARNER)), ["adopt"]);
