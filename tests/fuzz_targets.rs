@@ -28,6 +28,8 @@ mod worker;
 use std::fs;
 use std::path::Path;
 
+use leadtime_numerics::Pcg64;
+
 /// Messages that a target gets, and the longest of them, in bytes.
 const N_MESSAGES: usize = 2_000;
 const LONGEST: usize = 300;
@@ -43,20 +45,9 @@ macro_rules! fuzz_target {
 }
 pub(crate) use fuzz_target;
 
-/// A small generator: what is drawn matters to nobody.
-struct NoiseDraws(u64);
-
-impl NoiseDraws {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as usize % n
-    }
-}
-
 /// Feeds a target with noise: half of the bytes are small, as lengths and kinds are.
 fn feed(target: impl Fn(&[u8])) {
-    let mut draws = NoiseDraws(1);
+    let mut draws = Pcg64::seed_from_u64(1);
     for _ in 0..N_MESSAGES {
         let mut message = vec![0; draws.below(LONGEST)];
         for byte in &mut message {

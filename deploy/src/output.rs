@@ -15,7 +15,7 @@ use std::sync::OnceLock;
 
 use anyhow::Context as _;
 use leadtime_proto::text::{escaped, own_message};
-use leadtime_runs::{PartialFile, command_line, journal, program_name, write_atomically};
+use leadtime_runs::{PartialFile, command_line, journal, program_name};
 pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
 
@@ -55,12 +55,9 @@ fn shown(text: &str) -> String {
 /// What is no file, such as `/dev/stdout` or a pipe, takes the content; it is not replaced. Of a link, what it leads to is
 /// replaced.
 pub(crate) fn file(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let written = if is_stream(path) {
-        stream(path).and_then(|mut stream| pour(&mut stream, bytes))
-    } else {
-        write_atomically(&meant(path), bytes)
-    };
-    written.with_context(|| writing(path))
+    let mut file = GrowingFile::begin(path)?;
+    file.add(bytes)?;
+    file.end()
 }
 
 /// A file that grows piece by piece; whole or not at all, as [`file()`] has it.
@@ -88,10 +85,10 @@ impl<'a> GrowingFile<'a> {
     }
 
     /// Adds a piece.
-    pub(crate) fn add(&mut self, piece: &str) -> anyhow::Result<()> {
+    pub(crate) fn add(&mut self, piece: &[u8]) -> anyhow::Result<()> {
         let written = match &mut self.target {
-            GrowingTarget::Stream(stream) => pour(stream, piece.as_bytes()),
-            GrowingTarget::Partial(file) => file.write_all(piece.as_bytes()),
+            GrowingTarget::Stream(stream) => pour(stream, piece),
+            GrowingTarget::Partial(file) => file.write_all(piece),
         };
         written.with_context(|| writing(self.path))
     }
@@ -295,17 +292,17 @@ mod tests {
         let path = place.path().join("steps.jsonl");
         fs::write(&path, "old").unwrap();
         let mut growing = GrowingFile::begin(&path).unwrap();
-        growing.add("one\n").unwrap();
+        growing.add(b"one\n").unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
-        growing.add("two\n").unwrap();
+        growing.add(b"two\n").unwrap();
         growing.end().unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "one\ntwo\n");
         let pipe = place.path().join("pipe");
         assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
         let reader = Command::new("cat").arg(&pipe).stdout(Stdio::piped()).spawn().unwrap();
         let mut growing = GrowingFile::begin(&pipe).unwrap();
-        growing.add("one\n").unwrap();
-        growing.add("two\n").unwrap();
+        growing.add(b"one\n").unwrap();
+        growing.add(b"two\n").unwrap();
         growing.end().unwrap();
         assert_eq!(reader.wait_with_output().unwrap().stdout, b"one\ntwo\n");
     }

@@ -13,6 +13,7 @@
 use std::collections::BTreeMap;
 use std::process::ExitCode;
 
+use leadtime_numerics::Pcg64;
 use leadtime_proto::header::PROTOCOL_VERSION;
 use leadtime_proto::message::{Announcement, Control, ControlReply, Credit, Hello, HelloReply};
 use leadtime_proto::receive::{self, Expected};
@@ -27,17 +28,6 @@ static MEMORY: PeakAlloc = PeakAlloc;
 const N_MESSAGES: u64 = 1_000_000;
 /// What one message may take while it is received: its bytes and what the decoder's limit allows.
 const MOST_BYTES: usize = 8 << 20;
-
-/// A small generator: what is drawn matters to nobody.
-struct Draws(u64);
-
-impl Draws {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as usize % n
-    }
-}
 
 fn opened<T: DeserializeOwned>(
     header: &[u8],
@@ -83,7 +73,7 @@ fn expected(kind: &str) -> Expected {
 }
 
 /// Flips bits, and now and then cuts or lengthens.
-fn mutated(bytes: &[u8], draws: &mut Draws) -> Vec<u8> {
+fn mutated(bytes: &[u8], draws: &mut Pcg64) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     match draws.below(16) {
         0 => bytes.truncate(draws.below(bytes.len() + 1)),
@@ -115,7 +105,7 @@ fn genuine() -> Vec<(String, Vec<u8>)> {
 
 fn main() -> ExitCode {
     let messages = genuine();
-    let mut draws = Draws(7);
+    let mut draws = Pcg64::seed_from_u64(7);
     let mut fates: BTreeMap<&'static str, u64> = BTreeMap::new();
     MEMORY.reset_peak_usage();
     let before = MEMORY.current_usage();

@@ -506,7 +506,7 @@ def test_the_page_of_the_documents_trains():
         Path(place, "crossing.py").write_text(code.replace("import numpy as np", "import numpy as np, nobody_has_this"))
         began = time.monotonic()
         failed = run(place, "up", "-c", "crossing.toml", code=2).stderr
-        # Three seconds are promised; a busy machine takes longer, and whoever tries again much longer.
+        # Three seconds are promised. A busy machine takes longer; a retry takes much longer.
         assert time.monotonic() - began < 25, f"{time.monotonic() - began} s"
         assert "ModuleNotFoundError: No module named 'nobody_has_this' (crossing.py:2)" in failed, failed
 

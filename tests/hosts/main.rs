@@ -8,7 +8,6 @@
 #![expect(clippy::print_stdout, reason = "it has no harness that says why it is skipped")]
 
 mod namespaces;
-mod page;
 mod relay;
 #[expect(dead_code, reason = "the other process tests use the rest")]
 #[path = "../processes/support.rs"]
@@ -22,7 +21,8 @@ use std::time::{Duration, Instant};
 use namespaces::Hosts;
 use serde_json::Value;
 use support::{
-    PATIENCE, Place, Running, result, signal, updates, wait_for_updates, wait_for_words, wait_until,
+    PATIENCE, Place, Running, get, result, signal, updates, wait_for_updates, wait_for_words,
+    wait_until,
 };
 
 const RUN: &str = "learner -c cartpole --seed 5 --name r --set learner.n_steps=32 --set learner.total_steps=51200";
@@ -41,7 +41,11 @@ fn main() {
     let arguments: Vec<String> = env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["relay", listen, target] => relay::run(listen, target, DELAY),
-        ["get", address, path] => println!("{}", page::get(address, path)),
+        ["get", address, path] => {
+            let (code, body) = get(address, path);
+            assert_eq!(code, 200, "{body}");
+            println!("{body}");
+        }
         _ if arguments.iter().any(|it| it == "--ignored" || it == "--include-ignored") => {
             if let Err(reason) = namespaces::probe() {
                 println!("skipped: no network namespaces can be made here: {reason}");
@@ -152,7 +156,7 @@ fn cut_off(run: &Path, learner: &mut Running) {
     Hosts::mend("near");
     let mended = Instant::now();
     wait_until("the actor that was cut off is back", PATIENCE, || {
-        learner.stderr().matches("actor joined: a1").count() >= 2
+        learner.n_said("actor joined: a1") >= 2
     });
     println!(
         "updates {before} when cut, {during} when mended, the actor back {:?} later",

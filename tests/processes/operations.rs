@@ -4,7 +4,7 @@
 
 use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpListener;
 use std::os::linux::net::SocketAddrExt as _;
 use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::support::{
-    PATIENCE, Place, Running, record, signal, updates, wait_for_updates, wait_for_words, wait_until,
+    PATIENCE, Place, Running, ask, get, record, signal, updates, wait_for_updates, wait_for_words,
+    wait_until,
 };
 
 /// A CartPole run that ends by a signal only.
@@ -37,25 +38,6 @@ fn address(process: &Running) -> String {
     let said = process.stderr();
     let (_, rest) = said.split_once("status at http://").unwrap();
     rest.split('/').next().unwrap().to_owned()
-}
-
-/// Asks a status page; returns the status code, the head and the body.
-fn ask(address: &str, path: &str, host: &str) -> (u16, String, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    let request = format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
-    stream.write_all(request.as_bytes()).unwrap();
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).unwrap();
-    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
-    let code = head.split(' ').nth(1).unwrap().parse().unwrap();
-    (code, head.to_owned(), body.to_owned())
-}
-
-/// Asks an HTTP server; returns the status code and the body.
-pub(crate) fn get(address: &str, path: &str) -> (u16, String) {
-    let (code, _, body) = ask(address, path, address);
-    (code, body)
 }
 
 /// Returns the value of a sample whose name and labels begin like this.

@@ -212,7 +212,7 @@ fn a_worker_that_does_not_begin_is_wrong_input() {
     let told = ["ModuleNotFoundError: No module named 'my_envs'"];
     let began = Instant::now();
     place.finish(&["up --actors 1 -c", &file]).with_code(2).saying(&told);
-    // Three seconds are promised; a busy machine takes longer, and whoever tries again or waits in vain much longer.
+    // Three seconds are promised. A busy machine takes longer; a retry or a wait in vain takes much longer.
     println!("an import that fails is told after {:?}", began.elapsed());
     assert!(began.elapsed() < Duration::from_secs(25), "{:?}", began.elapsed());
 }

@@ -154,11 +154,6 @@ fn a_router_killed_and_restarted_finds_learner_and_actors_again_and_changes_noth
     second.finish(PATIENCE).with_code(0);
 }
 
-/// Counts how often a process has said something on standard error.
-fn n_said(process: &Running, words: &str) -> usize {
-    process.stderr().matches(words).count()
-}
-
 /// Ends a run that does not end by itself, and asserts that it has the weights of an undisturbed one of as many updates.
 #[track_caller]
 fn end_as_undisturbed(learner: Running) {
@@ -190,7 +185,7 @@ fn a_learner_that_listens_and_dials_finds_its_router_again_and_has_actors_on_bot
     wait_for_words(&learner, "actor left: far");
     let _second = router(&place);
     wait_until("the actor behind the router is back", PATIENCE, || {
-        n_said(&learner, "actor joined: far") >= 2
+        learner.n_said("actor joined: far") >= 2
     });
     // From here on rollouts, credit and weights have only the way through the router that is new.
     near.kill();
@@ -211,13 +206,13 @@ fn an_actor_and_a_learner_that_stand_still_for_longer_than_a_connection_may_chan
     wait_for_words(&learner, "actor left: b");
     wait_for_updates(&run, updates(&run) + 3);
     signal("CONT", second.id());
-    wait_until("it is back", PATIENCE, || n_said(&learner, "actor joined: b") >= 2);
+    wait_until("it is back", PATIENCE, || learner.n_said("actor joined: b") >= 2);
     wait_for_updates(&run, updates(&run) + 3);
 
     // An actor whose rollouts wait may ask its learner before it counts as gone: a second later than that.
     let n_missed = || {
         let words = ["the learner is gone", "the learner does not acknowledge"];
-        words.into_iter().map(|words| n_said(&first, words)).sum::<usize>()
+        words.into_iter().map(|words| first.n_said(words)).sum::<usize>()
     };
     let n_before = n_missed();
     signal("STOP", learner.id());

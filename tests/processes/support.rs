@@ -4,6 +4,8 @@
 //! test has a directory of its own, and addresses are unix sockets in it.
 
 use std::fs;
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
@@ -196,6 +198,11 @@ impl Running {
         fs::read_to_string(&self.err).unwrap_or_default()
     }
 
+    /// Returns how often it has said these words on standard error.
+    pub(crate) fn n_said(&self, words: &str) -> usize {
+        self.stderr().matches(words).count()
+    }
+
     /// Returns what it has printed so far.
     pub(crate) fn stdout(&self) -> String {
         fs::read_to_string(&self.out).unwrap_or_default()
@@ -337,4 +344,23 @@ pub(crate) async fn fake_actor(
     let (link, events) = opened.expect("the learner listens");
     let hello = fakes::hello(actor, start.incarnation());
     (link, events, hello)
+}
+
+/// Asks an HTTP server by one of its names; returns the status code, the head and the body.
+pub(crate) fn ask(address: &str, path: &str, host: &str) -> (u16, String, String) {
+    let mut stream = TcpStream::connect(address).expect("somebody listens there");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a socket of ours");
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).expect("the question is taken");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("the answer comes");
+    let (head, body) = answer.split_once("\r\n\r\n").expect("an answer has a head");
+    let code = head.split(' ').nth(1).and_then(|code| code.parse().ok()).expect("a status code");
+    (code, head.to_owned(), body.to_owned())
+}
+
+/// Asks an HTTP server; returns the status code and the body.
+pub(crate) fn get(address: &str, path: &str) -> (u16, String) {
+    let (code, _, body) = ask(address, path, address);
+    (code, body)
 }

@@ -7,8 +7,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 
-use crate::operations::get;
-use crate::support::{PATIENCE, Place, Running, outcome, signal, wait_until};
+use crate::support::{PATIENCE, Place, Running, get, outcome, signal, wait_until};
 
 /// A run that lasts until it is ended.
 const LONG: &str = "-c cartpole --steps 5e7 --set learner.n_steps=32 --set run.checkpoint_every=10";

@@ -159,7 +159,6 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
         let before = updates(&run);
         wait_until("it goes on", PATIENCE, || updates(&run) > before + 3);
     };
-    let n_said = |words: &str| learner.stderr().matches(words).count();
 
     // One start with a certificate that lasts tells how long the next one needs here.
     let started = Instant::now();
@@ -172,11 +171,13 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     issue(lifetime);
     let actor = start();
     goes_on();
-    let (n_left, n_joined) = (n_said("actor left"), n_said("actor joined"));
-    wait_until("its certificate has ended", lifetime + PATIENCE, || n_said("actor left") > n_left);
+    let (n_left, n_joined) = (learner.n_said("actor left"), learner.n_said("actor joined"));
+    wait_until("its certificate has ended", lifetime + PATIENCE, || {
+        learner.n_said("actor left") > n_left
+    });
     issue(90 * DAY);
     let replaced = Instant::now();
-    wait_until("it is back", PATIENCE, || n_said("actor joined") > n_joined);
+    wait_until("it is back", PATIENCE, || learner.n_said("actor joined") > n_joined);
     let back = replaced.elapsed();
     println!("a certificate of {lifetime:?}: back {back:?} after it was replaced");
     assert!(back < BACK_WITHIN, "back only {back:?} after the files were replaced");

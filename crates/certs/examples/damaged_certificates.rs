@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
 use leadtime_certs::{Authority, Certificate, Role};
+use leadtime_numerics::Pcg64;
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject as _;
 
@@ -22,36 +23,25 @@ const MOST_HOSTS: usize = 256;
 /// Certificates between two looks at the clock.
 const AT_ONCE: usize = 256;
 
-/// A small generator: what is drawn matters to nobody.
-struct DamageDraws(u64);
-
-impl DamageDraws {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as usize % n
-    }
-
-    /// Flips bits, and now and then cuts, lengthens, or writes a length that is not there.
-    fn damaged(&mut self, bytes: &[u8]) -> Vec<u8> {
-        let mut bytes = bytes.to_vec();
-        match self.below(16) {
-            0 => bytes.truncate(self.below(bytes.len() + 1)),
-            1 => bytes.extend((0..self.below(64)).map(|i| i as u8)),
-            2 => {
-                let place = self.below(bytes.len());
-                bytes[place] = [0x80, 0x84, 0xff][self.below(3)];
-            }
-            _ => {}
+/// Flips bits, and now and then cuts, lengthens, or writes a length that is not there.
+fn damaged(bytes: &[u8], draws: &mut Pcg64) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    match draws.below(16) {
+        0 => bytes.truncate(draws.below(bytes.len() + 1)),
+        1 => bytes.extend((0..draws.below(64)).map(|i| i as u8)),
+        2 => {
+            let place = draws.below(bytes.len());
+            bytes[place] = [0x80, 0x84, 0xff][draws.below(3)];
         }
-        for _ in 0..=self.below(4) {
-            if !bytes.is_empty() {
-                let place = self.below(bytes.len());
-                bytes[place] ^= 1 << self.below(8);
-            }
-        }
-        bytes
+        _ => {}
     }
+    for _ in 0..=draws.below(4) {
+        if !bytes.is_empty() {
+            let place = draws.below(bytes.len());
+            bytes[place] ^= 1 << draws.below(8);
+        }
+    }
+    bytes
 }
 
 /// Makes an authority and certificates of several kinds; returns each as a file and as a peer shows it.
@@ -75,11 +65,11 @@ fn genuine() -> Vec<(Vec<u8>, Vec<u8>)> {
 }
 
 /// Reads a damaged one; returns whether it can be read.
-fn is_read((pem, der): &(Vec<u8>, Vec<u8>), draws: &mut DamageDraws) -> bool {
+fn is_read((pem, der): &(Vec<u8>, Vec<u8>), draws: &mut Pcg64) -> bool {
     // Most damage to a file is noticed as such, so most is done to what it holds.
     let found = match draws.below(4) {
-        0 => Certificate::parse(&draws.damaged(pem)),
-        _ => Certificate::from_der(&draws.damaged(der)),
+        0 => Certificate::parse(&damaged(pem, draws)),
+        _ => Certificate::from_der(&damaged(der, draws)),
     };
     let Ok(read) = found else { return false };
     assert!(read.hosts.len() <= MOST_HOSTS);
@@ -95,7 +85,7 @@ fn main() {
     for (pem, der) in &genuine {
         assert!(Certificate::parse(pem).is_ok() && Certificate::from_der(der).is_ok());
     }
-    let (started, mut draws) = (Instant::now(), DamageDraws(7));
+    let (started, mut draws) = (Instant::now(), Pcg64::seed_from_u64(7));
     let (mut n_read, mut n_refused) = (0_u64, 0_u64);
     while started.elapsed() < patience {
         for _ in 0..AT_ONCE {

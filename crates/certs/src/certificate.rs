@@ -105,15 +105,10 @@ fn host(name: &GeneralName<'_>) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_numerics::Pcg64;
+
     use super::*;
     use crate::Authority;
-
-    /// A generator of bits for damage that is the same every time.
-    fn next(state: &mut u64) -> usize {
-        *state =
-            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (*state >> 33) as usize
-    }
 
     #[test]
     fn a_damaged_certificate_is_read_or_refused_but_ends_nothing() {
@@ -127,15 +122,15 @@ mod tests {
         let made = authority.issue(Role::Actor, &name, &hosts, lifetime, now).unwrap();
         let der = CertificateDer::from_pem_file(made.path).unwrap();
         assert!(Certificate::from_der(&der).is_ok());
-        let (mut state, mut n_refused) = (7, 0);
+        let (mut draws, mut n_refused) = (Pcg64::seed_from_u64(7), 0);
         for round in 0..20_000 {
             let mut bytes = der.to_vec();
             for _ in 0..=round % 4 {
-                let place = next(&mut state) % bytes.len();
-                bytes[place] ^= 1 << (next(&mut state) % 8);
+                let place = draws.below(bytes.len());
+                bytes[place] ^= 1 << draws.below(8);
             }
             if round % 5 == 0 {
-                bytes.truncate(next(&mut state) % bytes.len());
+                bytes.truncate(draws.below(bytes.len()));
             }
             n_refused += u32::from(Certificate::from_der(&bytes).is_err());
         }

@@ -15,8 +15,10 @@ use leadtime_proto::phrase::counted;
 use leadtime_runs::clock;
 use rustix::fs::{OFlags, fcntl_setfl};
 use rustix::io::Errno;
-use serde_json::json;
+use serde_json::Map;
 use tokio::signal::unix::{SignalKind, signal};
+
+use crate::log_line::json_line;
 
 /// How often it is looked whether the file is still the one that its name says.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -76,14 +78,7 @@ impl OpenLog {
 fn missing(n: u64, next: &[u8]) -> String {
     let message = format!("{} of the log could not be written", counted(n, "line"));
     if next.starts_with(b"{") {
-        let line = json!({
-            "time": clock::utc_millis(),
-            "level": "warn",
-            "target": module_path!(),
-            "message": message,
-            "fields": {},
-        });
-        return format!("{line}\n");
+        return format!("{}\n", json_line("warn", module_path!(), &message, Map::new()));
     }
     format!("{}  WARN {message}\n", clock::utc_now())
 }

@@ -47,20 +47,32 @@ where
         let mut fields = EventFields::default();
         event.record(&mut fields);
         let metadata = event.metadata();
-        let mut line = json!({
-            "time": clock::utc_millis(),
-            "level": metadata.level().as_str().to_lowercase(),
-            "target": metadata.target(),
-            "message": fields.message,
-        });
-        for (key, value) in [("run", &RUN), ("actor", &ACTOR)] {
-            if let Some(value) = value.get() {
-                line[key] = value.as_str().into();
-            }
-        }
-        line["fields"] = Value::Object(fields.others);
+        let level = metadata.level().as_str().to_lowercase();
+        let line = json_line(&level, metadata.target(), &fields.message, fields.others);
         writeln!(writer, "{line}")
     }
+}
+
+/// Returns a line of the log as JSON, of now and of this process.
+pub(crate) fn json_line(
+    level: &str,
+    target: &str,
+    message: &str,
+    fields: Map<String, Value>,
+) -> Value {
+    let mut line = json!({
+        "time": clock::utc_millis(),
+        "level": level,
+        "target": target,
+        "message": message,
+    });
+    for (key, value) in [("run", &RUN), ("actor", &ACTOR)] {
+        if let Some(value) = value.get() {
+            line[key] = value.as_str().into();
+        }
+    }
+    line["fields"] = Value::Object(fields);
+    line
 }
 
 /// What an event says, and with which values.

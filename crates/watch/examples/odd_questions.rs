@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use leadtime_link::history_question;
+use leadtime_numerics::Pcg64;
 use leadtime_numerics::thin::ThinSeries;
 use leadtime_proto::limits::MAX_HISTORY_POINTS;
 use leadtime_watch::{Page, routes};
@@ -62,49 +63,38 @@ const LONGEST: usize = 16_384;
 /// Questions between two looks at the clock.
 const AT_ONCE: usize = 256;
 
-/// A small generator: what is drawn matters to nobody.
-struct QuestionDraws(u64);
-
-impl QuestionDraws {
-    fn below(&mut self, n: usize) -> usize {
-        self.0 =
-            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) as usize % n
-    }
-
-    /// Puts pieces into a genuine question, takes characters out, and now and then doubles it.
-    fn odd(&mut self) -> String {
-        let mut text: Vec<char> = GENUINE[self.below(GENUINE.len())].chars().collect();
-        for _ in 0..self.below(8) {
-            let place = self.below(text.len() + 1);
-            match self.below(8) {
-                0 | 1 if place < text.len() => {
-                    text.remove(place);
-                }
-                2 => text.truncate(place),
-                _ => drop(text.splice(place..place, PIECES[self.below(PIECES.len())].chars())),
+/// Puts pieces into a genuine question, takes characters out, and now and then doubles it.
+fn odd(draws: &mut Pcg64) -> String {
+    let mut text: Vec<char> = GENUINE[draws.below(GENUINE.len())].chars().collect();
+    for _ in 0..draws.below(8) {
+        let place = draws.below(text.len() + 1);
+        match draws.below(8) {
+            0 | 1 if place < text.len() => {
+                text.remove(place);
             }
+            2 => text.truncate(place),
+            _ => drop(text.splice(place..place, PIECES[draws.below(PIECES.len())].chars())),
         }
-        while self.below(16) == 0 && (1..LONGEST / 2).contains(&text.len()) {
-            text.extend_from_within(..);
-        }
-        text.into_iter().collect()
     }
+    while draws.below(16) == 0 && (1..LONGEST / 2).contains(&text.len()) {
+        text.extend_from_within(..);
+    }
+    text.into_iter().collect()
 }
 
 /// Asks a page for events; `None` where no browser could ask that.
-async fn ask_page(page: &Router, draws: &mut QuestionDraws) -> Option<StatusCode> {
-    let path = format!("/events?{}", draws.odd());
+async fn ask_page(page: &Router, draws: &mut Pcg64) -> Option<StatusCode> {
+    let path = format!("/events?{}", odd(draws));
     let request = Request::builder().uri(path).header("host", "localhost");
-    let request = request.header("last-event-id", draws.odd()).body(Body::empty()).ok()?;
+    let request = request.header("last-event-id", odd(draws)).body(Body::empty()).ok()?;
     let Ok(answer) = page.clone().oneshot(request).await;
     // What it is sent is dropped with the answer, which makes room for the next page.
     Some(answer.status())
 }
 
 /// Asks for a history; returns whether that is answered.
-fn ask_history(draws: &mut QuestionDraws) -> bool {
-    let Ok((_, n_points)) = history_question(&draws.odd()) else { return false };
+fn ask_history(draws: &mut Pcg64) -> bool {
+    let Ok((_, n_points)) = history_question(&odd(draws)) else { return false };
     assert!((1..=MAX_HISTORY_POINTS).contains(&n_points));
     let mut series = ThinSeries::new(n_points);
     for update in 1..=8 {
@@ -126,7 +116,7 @@ async fn main() {
         }
     });
     let page = Guard::new().protect(routes(page));
-    let (started, mut draws) = (Instant::now(), QuestionDraws(7));
+    let (started, mut draws) = (Instant::now(), Pcg64::seed_from_u64(7));
     let mut answers: BTreeMap<String, u64> = BTreeMap::new();
     while started.elapsed() < patience {
         for _ in 0..AT_ONCE {

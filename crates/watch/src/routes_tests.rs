@@ -3,6 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use leadtime_numerics::Pcg64;
 use leadtime_web::Guard;
 use leadtime_web::axum::body::to_bytes;
 use leadtime_web::axum::extract::Request;
@@ -196,17 +197,12 @@ async fn scripts_get_everything_at_once() {
 #[tokio::test]
 async fn any_query_is_answered() {
     // A generator of its own: nothing here may depend on luck.
-    let mut state = 7_u64;
-    let mut next = || {
-        state =
-            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 33) as usize
-    };
+    let mut draws = Pcg64::seed_from_u64(7);
     let letters = b"only=after&%,.?update0123456789-+[]{}~abc";
     let page = page();
     for _ in 0..2_000 {
         let query: String =
-            (0..next() % 60).map(|_| letters[next() % letters.len()] as char).collect();
+            (0..draws.below(60)).map(|_| letters[draws.below(letters.len())] as char).collect();
         let Ok(uri) = format!("/events?{query}").parse::<leadtime_web::axum::http::Uri>() else {
             continue;
         };

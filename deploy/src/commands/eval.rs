@@ -108,7 +108,7 @@ impl EvalTask {
         let n_episodes = u64::from(self.n_episodes(args));
         let settings = PlaySettings::new(n_episodes, args.acting.choosing.eval_seed);
         let settings = settings.threads(n_threads());
-        let add = |lines: &str| steps.add(lines).blame(ExitCode::WrongInput);
+        let add = |lines: &str| steps.add(lines.as_bytes()).blame(ExitCode::WrongInput);
         record_steps(&make, &self.players[0], &settings, add)?;
         steps.end().blame(ExitCode::WrongInput)
     }

@@ -119,14 +119,9 @@ fn open_recorder(run_dir: &RunDir, config: &Config) -> Result<RunRecorder, Failu
 /// Says that there is nothing to train, and what to do; as JSON, how the run ended.
 fn tell_finished(run_dir: &RunDir, as_json: bool) {
     if let (true, Some(result)) = (as_json, &run_dir.record.result) {
-        output::json(&json!({
-            "run": run_dir.path.display().to_string(),
-            "end": result.end,
-            "updates": result.updates,
-            "steps": result.steps,
-            "weights_sha256": result.weights_sha256,
-            "books": result.books,
-        }));
+        let RunResult { end, updates, steps, weights_sha256, books, .. } = result;
+        let line = end_json(&run_dir.path, Some(*end), *updates, *steps, weights_sha256, books);
+        output::json(&line);
     }
     let (name, path) = (&run_dir.name, run_dir.path.display());
     let setting = match run_dir.record.result.as_ref().map(|result| result.end) {
@@ -292,6 +287,25 @@ fn conclude(
     if is_asked { Ok(()) } else { Err(Failure::silent(ExitCode::Interrupted)) }
 }
 
+/// Returns how a run ended as JSON.
+fn end_json(
+    run: &Path,
+    end: Option<ResultCause>,
+    updates: u64,
+    steps: u64,
+    weights_sha256: &str,
+    books: &Value,
+) -> Value {
+    json!({
+        "run": run.display().to_string(),
+        "end": end,
+        "updates": updates,
+        "steps": steps,
+        "weights_sha256": weights_sha256,
+        "books": books,
+    })
+}
+
 /// Prints how a run ended, or where it stopped if nothing ended it.
 fn print_end(
     run: &Path,
@@ -303,15 +317,9 @@ fn print_end(
     let (n_updates, n_steps) = (report.n_updates, report.n_steps);
     let (digest, best) = (hex::encode(&report.digest), &report.best.held_out);
     if as_json {
-        return output::json(&json!({
-            "run": run.display().to_string(),
-            "end": end,
-            "updates": n_updates,
-            "steps": n_steps,
-            "weights_sha256": digest,
-            "best": best,
-            "books": books,
-        }));
+        let mut line = end_json(run, end, n_updates, n_steps, &digest, books);
+        line["best"] = json!(best);
+        return output::json(&line);
     }
     output::line(&format!("run      {}", run.display()));
     output::line(&format!("updates  {n_updates} ({n_steps} steps)"));

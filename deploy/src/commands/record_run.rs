@@ -62,7 +62,7 @@ async fn record(
 ) -> Result<(), RecordFailure> {
     let mut flushes = interval(FLUSH_EVERY);
     flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut n_missed, mut is_seen, mut is_lost) = (0, false, false);
+    let (mut n_missed, mut is_here) = (0, None);
     // One that was killed before it was seen here leaves without a word.
     let mut first_look = pin!(sleep(SEEN_WITHIN));
     loop {
@@ -82,20 +82,19 @@ async fn record(
                     }
                 }
                 Some(ObserverEvent::Left(Member::Learner, _)) => {
-                    (is_seen, is_lost) = (true, true);
+                    is_here = Some(false);
                     warn_of_loss(run);
                 }
                 Some(ObserverEvent::Joined(Member::Learner, _)) => {
-                    is_seen = true;
-                    if std::mem::take(&mut is_lost) {
+                    if is_here.replace(true) == Some(false) {
                         tracing::info!("the learner of run `{run}` is back");
                     }
                 }
                 Some(_) => {}
                 None => return Ok(()),
             },
-            () = &mut first_look, if !is_seen => {
-                (is_seen, is_lost) = (true, true);
+            () = &mut first_look, if is_here.is_none() => {
+                is_here = Some(false);
                 warn_of_loss(run);
             }
             _ = flushes.tick() => {
