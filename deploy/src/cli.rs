@@ -113,7 +113,7 @@ pub(crate) enum Command {
     Learner(LearnerArgs),
     /// Run an actor: step environments for a learner; it may join and leave at any time.
     Actor(ActorArgs),
-    /// Watch a run in a browser while it trains, from anywhere, or one on this disk; with --once as text.
+    /// Watch a run in a browser: one that trains anywhere, or one on this disk; as text with --once.
     Watch(WatchArgs),
     /// Run a router: it passes on what others send, where the learner cannot be dialled by everybody.
     Router(RouterArgs),
@@ -142,7 +142,7 @@ pub(crate) enum Command {
     Eval(EvalArgs),
     /// Probe a policy: how well can the reaction delay be decoded from its activations?
     Probe(ProbeArgs),
-    /// Draw one episode of a policy as PNG, SVG, GIF or HTML.
+    /// Draw one episode of a policy as PNG, SVG, GIF, HTML or MP4, or what a recording holds.
     Play(PlayArgs),
     /// Make the report of a run again, with an evaluation of its policy, or one of several runs side by side.
     Report(ReportArgs),
@@ -206,7 +206,7 @@ pub(crate) struct SourceArgs {
     #[arg(long, value_parser = n_steps)]
     pub steps: Option<u64>,
     /// Seed of every random stream (as `--set seed=N`).
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Directory that holds the runs (as `--set run.directory=DIR`).
     #[arg(long, value_name = "DIR")]
@@ -250,7 +250,7 @@ pub(crate) struct RunChoice {
     #[arg(long, value_name = "KEY=VALUE", value_parser = changes::parse, requires = "name", conflicts_with = "fork")]
     pub change: Vec<Override>,
     /// Start this command, and write the metrics of every update to its standard input, a line of JSON each.
-    #[arg(long, value_name = "COMMAND")]
+    #[arg(long, value_name = "COMMAND", value_parser = command)]
     pub metrics_to: Option<String>,
     #[command(flatten)]
     pub trace: TraceArgs,
@@ -323,14 +323,14 @@ pub(crate) struct SmokeArgs {
     /// Check the mechanics only, in seconds; says nothing about what is learned.
     #[arg(long, conflicts_with = "steps")]
     pub quick: bool,
-    /// What to train on.
-    #[arg(long, default_value = "lander")]
-    pub domain: PathBuf,
+    /// What to train on: as `-c`.
+    #[arg(long, value_name = "NAME", conflicts_with = "config")]
+    pub domain: Option<PathBuf>,
     /// Actor processes.
-    #[arg(long, default_value_t = 2, value_parser = n_processes())]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
     /// Episodes per evaluated policy (default: the configuration's; 10 with --quick).
-    #[arg(long, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", value_parser = n_episodes())]
     pub episodes: Option<u32>,
     #[command(flatten)]
     pub shown: ShownArgs,
@@ -357,7 +357,7 @@ pub(crate) struct UpArgs {
     #[command(flatten)]
     pub run: RunChoice,
     /// Actor processes.
-    #[arg(long, default_value_t = 2, value_parser = n_processes())]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
     /// Try `learner.lag` 1, 2, 4 and 8 for four seconds each, and train with the smallest that is nearly as fast as the best.
     /// For a new run, which keeps what was chosen; leave this out to go on with it.
@@ -367,7 +367,7 @@ pub(crate) struct UpArgs {
     /// turns. Changes no bit.
     #[arg(long)]
     pub pin: bool,
-    /// Also listen here, so that actors elsewhere can join: `tls/0.0.0.0:7447`.
+    /// Also listen here, so that actors elsewhere can join: `tls/0.0.0.0:7447`; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
     /// Serve the learner's /metrics, /live, /ready and /version here: `127.0.0.1:9464`.
@@ -399,7 +399,7 @@ pub(crate) struct WatchArgs {
     /// A run on this disk, by name or directory.
     #[arg(value_name = "RUN", conflicts_with_all = ["connect", "run"])]
     pub directory: Option<PathBuf>,
-    /// Address of a learner (or of a router): `tcp/HOST:7447`.
+    /// Address of a learner (or of a router): `tcp/HOST:7447`; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// The run, where several share the address.
@@ -431,6 +431,8 @@ pub(crate) struct WatchArgs {
 
 /// `leadtime race`
 #[derive(Debug, Args)]
+#[command(mut_arg("steps", |steps| steps.help(STEPS_OF_A_RACER)))]
+#[command(mut_arg("seed", |seed| seed.help(SEED_OF_THE_FIRST)))]
 pub(crate) struct RaceArgs {
     #[command(flatten)]
     pub source: SourceArgs,
@@ -445,10 +447,10 @@ pub(crate) struct RaceArgs {
     #[arg(long)]
     pub name: Option<String>,
     /// Actor processes; one racer is trained at a time.
-    #[arg(long, default_value_t = 2, value_parser = n_processes())]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = n_processes())]
     pub actors: u32,
     /// Held-out episodes by which the winner is found; a fifth as many at a quarter.
-    #[arg(long, default_value_t = 1_000, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", default_value_t = 1_000, value_parser = n_episodes())]
     pub episodes: u32,
     /// Say what the race costs, and do nothing.
     #[arg(long)]
@@ -458,6 +460,10 @@ pub(crate) struct RaceArgs {
     pub json: bool,
 }
 
+const STEPS_OF_A_RACER: &str =
+    "Environment steps of each racer, such as 1e6 (as `--set learner.total_steps=STEPS`)";
+const SEED_OF_THE_FIRST: &str = "Seed of the first racer (as `--set seed=N`)";
+
 /// `leadtime learner`
 #[derive(Debug, Args)]
 pub(crate) struct LearnerArgs {
@@ -465,11 +471,11 @@ pub(crate) struct LearnerArgs {
     pub source: SourceArgs,
     #[command(flatten)]
     pub run: RunChoice,
-    /// Where to listen: `tls/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock` (default: 127.0.0.1:7447, unless --connect
-    /// is given).
+    /// Where to listen: `tls/0.0.0.0:7447`, `unixsock-stream//tmp/learner.sock`; repeatable (default: 127.0.0.1:7447, unless
+    /// --connect is given).
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Routers to connect to: `tls/HOST:7447`.
+    /// Routers to connect to: `tls/HOST:7447`; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     #[command(flatten)]
@@ -498,7 +504,7 @@ pub(crate) struct LearnerArgs {
 /// `leadtime actor`
 #[derive(Debug, Args)]
 pub(crate) struct ActorArgs {
-    /// Address of the learner (or of a router): `tls/HOST:7447`, `tcp/HOST:7447`.
+    /// Address of the learner (or of a router): `tls/HOST:7447`, `tcp/HOST:7447`; repeatable.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
     #[command(flatten)]
@@ -543,7 +549,7 @@ pub(crate) struct EvalArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: PathBuf,
     /// Episodes per policy (default: the configuration's; 1 with --transcript).
-    #[arg(long, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Print the episodes as the listener hears them, word by word, instead of evaluating them.
     #[arg(long, conflicts_with = "json")]
@@ -583,7 +589,8 @@ pub(crate) struct EvalArgs {
 #[derive(Debug, Args)]
 pub(crate) struct ChoosingArgs {
     /// Seed of the episodes; not the one of training.
-    #[arg(long, default_value_t = evaluation::EVAL_SEED)]
+    #[arg(long, value_name = "SEED", default_value_t = evaluation::EVAL_SEED)]
+    #[arg(allow_negative_numbers = true)]
     pub eval_seed: u64,
     /// How the policy chooses (default: the configuration's).
     #[arg(long, value_parser = action())]
@@ -613,10 +620,10 @@ pub(crate) struct ReportArgs {
     pub names: Vec<PathBuf>,
     /// Write the page here, and leave the run's directory as it is (default: report.html there, beside the evaluation in
     /// eval.json; several runs have none).
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, alias = "output", value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Episodes per policy (default: the configuration's).
-    #[arg(long, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", value_parser = n_episodes())]
     pub episodes: Option<u32>,
     #[command(flatten)]
     pub choosing: ChoosingArgs,
@@ -628,7 +635,7 @@ pub(crate) struct ProbeArgs {
     /// A policy file, a run directory or the name of a run.
     pub policy: PathBuf,
     /// Episodes; the probe is fitted on the first half and scored on the other.
-    #[arg(long, default_value_t = 400, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", default_value_t = 400, value_parser = n_episodes())]
     pub episodes: u32,
     #[command(flatten)]
     pub acting: ActingArgs,
@@ -642,6 +649,7 @@ pub(crate) struct ProbeArgs {
 
 /// `leadtime play`
 #[derive(Debug, Args)]
+#[command(mut_arg("eval_seed", |seed| seed.help("Seed of the episode")))]
 pub(crate) struct PlayArgs {
     /// A policy file, a run directory or the name of a run; or a recording of `leadtime record`, FILE.mcap.
     #[arg(required_unless_present = "demonstration")]
@@ -657,7 +665,7 @@ pub(crate) struct PlayArgs {
     pub live: Option<ClientName>,
     /// The picture; its extension decides: png, svg, gif, html with a slider over the moments, or mp4 (needs ffmpeg). Of a
     /// recording: png, svg, or txt for what was said when.
-    #[arg(short, long, value_name = "FILE", default_value = "playthrough.png")]
+    #[arg(short, long, alias = "out", value_name = "FILE", default_value = "playthrough.png")]
     pub output: PathBuf,
     /// Quote these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
@@ -672,21 +680,21 @@ pub(crate) struct PlayArgs {
 /// `leadtime compare`
 #[derive(Debug, Args)]
 pub(crate) struct CompareArgs {
-    /// Name of a study, `all`, or a file of one's own; without one, the studies are listed with their rows.
+    /// Name of a study, `all`, or a file of your own; without one, the studies are listed with their rows.
     pub study: Option<PathBuf>,
     /// One training seed and few steps: shows that everything works, and is labelled so.
     #[arg(long)]
     pub quick: bool,
-    /// Only these rows: `convey_react`, or `piloting/convey_react` where parts share names; may be given again.
+    /// Only these rows: `convey_react`, or `piloting/convey_react` where parts share names; repeatable.
     #[arg(long = "row", value_name = "ROW")]
     pub rows: Vec<String>,
-    /// Only these parts; may be given again.
+    /// Only these parts; repeatable.
     #[arg(long = "part", value_name = "PART")]
     pub parts: Vec<String>,
-    /// Change one key of what is trained: `--set human.reaction_delay.fixed=3`; may be given again.
+    /// Change one key of what is trained: `--set human.reaction_delay.fixed=3`; repeatable.
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
-    /// Start from this configuration, in the parts of its domain, instead of the study's own.
+    /// Start from this configuration, in the parts of its domain, instead of the study's own; repeatable.
     #[arg(long, value_name = "FILE")]
     pub profile: Vec<PathBuf>,
     /// Training seeds, half open, instead of those of each row (with --quick only the first).
@@ -696,23 +704,24 @@ pub(crate) struct CompareArgs {
     #[arg(long, value_name = "STEPS", value_parser = n_steps)]
     pub steps: Option<u64>,
     /// Evaluation episodes per training seed.
-    #[arg(long, default_value_t = EPISODES, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", default_value_t = EPISODES, value_parser = n_episodes())]
     pub episodes: u32,
     /// Seed of the evaluations; the training seed is added, so that no two policies of a row meet the same worlds.
-    #[arg(long, default_value_t = EVAL_SEED, value_parser = clap::value_parser!(u64).range(..1 << 62))]
+    #[arg(long, value_name = "SEED", default_value_t = EVAL_SEED, allow_negative_numbers = true)]
+    #[arg(value_parser = clap::value_parser!(u64).range(..1 << 62))]
     pub eval_seed: u64,
     /// Trainings at a time (default: one per core).
-    #[arg(long, value_parser = n_processes())]
+    #[arg(long, value_name = "N", value_parser = n_processes())]
     pub jobs: Option<u32>,
     /// Actor processes per training.
-    #[arg(long, default_value_t = 1, value_parser = n_processes())]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = n_processes())]
     pub actors: u32,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs/compare")]
     pub runs: PathBuf,
-    /// Directory for tables and figures (default: docs/results; a study of one's own, and one that is not carried out
+    /// Directory for tables and figures (default: docs/results; a study of your own, and one that is not carried out
     /// whole and as it is, is printed, and written only where --out says).
-    #[arg(long, value_name = "DIR")]
+    #[arg(short, long, alias = "output", value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// List the trainings, how far they are and how long they will take, and do nothing.
     #[arg(long)]
@@ -771,7 +780,7 @@ pub(crate) enum ConformanceWorld {
 #[derive(Debug, Args)]
 pub(crate) struct ConfigArgs {
     /// The configuration; without one, the names are listed.
-    pub domain: Option<OsString>,
+    pub name: Option<OsString>,
 }
 
 /// `leadtime describe`
@@ -805,19 +814,20 @@ pub(crate) struct ScriptSearchArgs {
     #[arg(long, value_parser = n_steps)]
     pub steps: Option<u64>,
     /// Seed of the search (default: the configuration's).
-    #[arg(long)]
+    #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Episodes on which the script is evaluated (default: the configuration's).
-    #[arg(long, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Seed of those episodes; not the one of the search.
-    #[arg(long, default_value_t = evaluation::EVAL_SEED)]
+    #[arg(long, value_name = "SEED", default_value_t = evaluation::EVAL_SEED)]
+    #[arg(allow_negative_numbers = true)]
     pub eval_seed: u64,
     /// Also let an oracle play those episodes: it plans on the episode itself, its random draws included.
     #[arg(long)]
     pub oracle: bool,
     /// The script's file (default: TASK-script.toml).
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, alias = "output", value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
@@ -867,7 +877,7 @@ pub(crate) struct CheckArgs {
     /// For a world in Python: start this command to step environments (as `--set world.worker=COMMAND`).
     #[arg(long, value_name = "COMMAND")]
     pub worker: Option<String>,
-    /// Also connect to the learner at this address.
+    /// Also connect to the learner at this address; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     #[command(flatten)]
@@ -915,6 +925,12 @@ fn stop_after(text: &str) -> Result<StopAfter, String> {
         Ok(updates) => Ok(StopAfter::Updates(updates)),
         Err(says) => duration(text).map(StopAfter::Time).map_err(|_unspecific| says),
     }
+}
+
+/// Reads a command, which does something.
+fn command(text: &str) -> Result<String, String> {
+    let command = Some(text).filter(|text| !text.trim().is_empty()).map(str::to_owned);
+    command.ok_or_else(|| "the command is empty".to_owned())
 }
 
 /// Reads a number of steps: `200000` or `1e6`.
@@ -966,22 +982,4 @@ fn number_range(text: &str) -> Result<Range<u64>, String> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_command_line_is_sound() {
-        Cli::documented().debug_assert();
-    }
-
-    #[test]
-    fn ranges_and_durations_read_as_people_write_them() {
-        assert_eq!(number_range("0..1000"), Ok(0..1000));
-        assert_eq!(number_range("7..1000007"), Ok(7..1_000_007));
-        assert!(["5..5", "5", "7..1000008"].iter().all(|text| number_range(text).is_err()));
-        assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
-        assert!(["-1s", "6"].iter().all(|text| duration(text).is_err()));
-        assert_eq!([n_steps("1e6"), n_steps("512")], [Ok(1_000_000), Ok(512)]);
-        assert!(["1.5", "0", "-1", "many"].iter().all(|text| n_steps(text).is_err()));
-    }
-}
+mod tests;

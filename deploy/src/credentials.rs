@@ -160,7 +160,10 @@ pub(crate) fn dialling_failure(error: LinkError) -> Failure {
 pub(crate) fn is_wrong_address(error: &LinkError) -> bool {
     matches!(
         error,
-        LinkError::AddressInUse(_) | LinkError::NotASocket(_) | LinkError::Listen { .. }
+        LinkError::AddressInUse(_)
+            | LinkError::NotOurAddress(_)
+            | LinkError::NotASocket(_)
+            | LinkError::Listen { .. }
     )
 }
 

@@ -216,6 +216,10 @@ fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
     // The directory that is left holds nothing, so another configuration may take it.
     let changed = [&learner_at(&endpoint), "--set learner.clip=0.3"];
     refused(&place, &changed, &["in use", &endpoint]);
+    // Its actors meet at a socket, which is free.
+    let up = place.finish(&["up --name u", SMALL, "--listen", &endpoint]).with_code(WRONG_INPUT);
+    let told = format!("error: --listen: `{endpoint}` is in use: another process listens there");
+    up.saying(&[&told]);
     let actor = place.finish(&["actor --connect-timeout 500ms --connect", &endpoint]);
     actor.with_code(PEER_LOST).saying(&[&endpoint, "does not answer as a learner does"]);
     let file = place.write("policy.safetensors", "precious");
@@ -223,6 +227,8 @@ fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
     refused(&place, &[&learner_at(&endpoint)], &["a file exists at", &file]);
     assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
     refused(&place, &[&learner_at("http/example:1")], &["http/example:1", "tcp/"]);
+    let told = ["--connect: `foo` is not an address: it has no port; write HOST:PORT"];
+    refused(&place, &["actor --connect foo"], &told);
     let actor = "actor --connect tcp/127.0.0.1 --connect-timeout 1s";
     refused(&place, &[actor], &["tcp/127.0.0.1", "port"]);
 }

@@ -6,7 +6,8 @@ use crate::support::{Place, result};
 
 const WIDTH: usize = 80;
 const COMMANDS: &str = "smoke up race learner actor eval report probe play compare pilot taxonomy conformance config \
-                        describe new runs check script-search watch record replay completions serve drive router";
+                        describe new runs check script-search watch record replay completions serve drive router \
+                        version health";
 const NESTED: [&str; 8] = [
     "pilot eval",
     "taxonomy build",

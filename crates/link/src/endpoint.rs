@@ -15,8 +15,8 @@ use crate::Error;
 const MAX_SOCKET_PATH: usize = 100;
 const NO_PROTOCOL: &str =
     "it must start with `tcp/`, `tls/` or `unixsock-stream/`, as in `tcp/127.0.0.1:7447`";
-const NO_HOST_AND_PORT: &str =
-    "after the protocol come a host and a port, as in `tcp/127.0.0.1:7447`";
+const NO_PORT: &str = "it has no port; write HOST:PORT, as in `127.0.0.1:7447`";
+const NO_HOST_AND_PORT: &str = "it needs a host and a port, as in `tcp/127.0.0.1:7447`";
 const ODD_CHARACTER: &str =
     "it holds a quotation mark, a backslash, a space or a control character";
 
@@ -51,7 +51,17 @@ impl Endpoint {
     ///
     /// [`Error::Endpoint`].
     pub fn encrypted(text: &str) -> Result<Self, Error> {
-        if text.contains('/') { text.parse() } else { format!("tls/{text}").parse() }
+        Self::read(text, "tls")
+    }
+
+    /// Reads an address, which is of this protocol if it names none.
+    fn read(text: &str, protocol: &str) -> Result<Self, Error> {
+        let whole = if text.contains('/') { text.to_owned() } else { format!("{protocol}/{text}") };
+        match Self::check(&whole) {
+            Ok(()) => Ok(Self(whole)),
+            // As it was written.
+            Err(problem) => Err(Error::Endpoint { endpoint: text.to_owned(), problem }),
+        }
     }
 
     /// Tells whether other machines can reach this address without showing who they are: neither local nor TLS with
@@ -67,10 +77,16 @@ impl Endpoint {
 
     /// Tells whether other machines can reach this address.
     pub fn is_beyond_this_machine(&self) -> bool {
+        let Some(host) = self.host() else { return false };
+        let ip = host.trim_matches(['[', ']']).parse::<std::net::IpAddr>();
+        host != "localhost" && !ip.is_ok_and(|ip| ip.is_loopback())
+    }
+
+    /// Returns the host; `None` for a socket.
+    pub(crate) fn host(&self) -> Option<&str> {
         let (protocol, address, _) = self.parts();
         let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
-        let ip = host.trim_matches(['[', ']']).parse::<std::net::IpAddr>();
-        protocol != "unixsock-stream" && host != "localhost" && !ip.is_ok_and(|ip| ip.is_loopback())
+        (protocol != "unixsock-stream").then_some(host)
     }
 
     /// Returns the file of the certificate that a process shows here, if its settings name one.
@@ -99,7 +115,7 @@ impl Endpoint {
         }
         // Some other program's socket has no lock that would protect it; one where nobody answers is left over.
         if found.is_ok() && UnixStream::connect(path).is_ok() {
-            return Err(Error::AddressInUse(self.to_string()));
+            return Err(Error::AddressInUse(self.plain().to_owned()));
         }
         Ok(())
     }
@@ -128,7 +144,7 @@ impl Endpoint {
         let address = rest.split(['?', '#']).next().unwrap_or_default();
         match protocol {
             "tcp" | "tls" => {
-                let (host, port) = address.rsplit_once(':').ok_or(NO_HOST_AND_PORT)?;
+                let (host, port) = address.rsplit_once(':').ok_or(NO_PORT)?;
                 if host.is_empty() || port.parse::<u16>().is_err() {
                     return Err(NO_HOST_AND_PORT.to_owned());
                 }
@@ -151,11 +167,7 @@ impl FromStr for Endpoint {
 
     fn from_str(text: &str) -> Result<Self, Error> {
         // An address as everybody else writes it.
-        let text = if text.contains('/') { text.to_owned() } else { format!("tcp/{text}") };
-        match Self::check(&text) {
-            Ok(()) => Ok(Self(text)),
-            Err(problem) => Err(Error::Endpoint { endpoint: text, problem }),
-        }
+        Self::read(text, "tcp")
     }
 }
 
@@ -175,7 +187,7 @@ mod tests {
         for (text, problem) in [
             ("127.0.0.1:7447", NO_PROTOCOL),
             ("http/host:1", NO_PROTOCOL),
-            ("tcp/host", NO_HOST_AND_PORT),
+            ("tcp/host", NO_PORT),
             ("tcp/:7447", NO_HOST_AND_PORT),
             ("tcp/host:99999", NO_HOST_AND_PORT),
             ("tcp/host :1", ODD_CHARACTER),
@@ -184,6 +196,10 @@ mod tests {
             (long.as_str(), "the socket's path has 101 bytes; 1 to 100 are possible"),
         ] {
             assert_eq!(Endpoint::check(text), Err(problem.to_owned()), "{text}");
+        }
+        for read in ["foo".parse::<Endpoint>(), Endpoint::encrypted("foo")] {
+            let told = read.unwrap_err().to_string();
+            assert_eq!(told, format!("`foo` is not an address: {NO_PORT}"));
         }
     }
 

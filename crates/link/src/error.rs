@@ -25,7 +25,11 @@ impl fmt::Display for NetworkFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         // The library ends its errors with the place in its own sources, which helps nobody here.
         let text = self.0.to_string();
-        f.write_str(text.split(" at /").next().unwrap_or(&text).trim_end_matches('.'))
+        let told = text.split(" at /").next().unwrap_or(&text).trim_end_matches('.');
+        // A list of reasons loses its end with that.
+        let is_cut = told.matches('[').count() > told.matches(']').count();
+        let whole = if is_cut { told.replacen(": [", ": ", 1) } else { told.to_owned() };
+        f.write_str(&whole)
     }
 }
 
@@ -48,9 +52,14 @@ pub enum Error {
     NoEndpoint,
     /// Someone else listens at this address.
     #[error(
-        "address `{0}` is in use: another process listens there; choose another port or path, or stop it"
+        "--listen: `{0}` is in use: another process listens there; choose another port or path, or stop it"
     )]
     AddressInUse(String),
+    /// The host of this address is no address of this machine.
+    #[error(
+        "--listen: this machine has no address {0}: listen on one of its own, or on 0.0.0.0 for all"
+    )]
+    NotOurAddress(String),
     /// A file exists where the socket would be created; listening there would remove it.
     #[error("a file exists at {}, where the socket (or its lock) would be created: choose another path", .0.display())]
     NotASocket(PathBuf),
@@ -315,6 +324,14 @@ fn list(runs: &[RunName]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_the_library_says_is_shown_without_its_sources() {
+        let text =
+            "bound to tcp/[::1]:80: [[::1]:80: Permission denied (os error 13) at /tcp.rs:61.]";
+        let shown = NetworkFault(text.into()).to_string();
+        assert_eq!(shown, "bound to tcp/[::1]:80: [::1]:80: Permission denied (os error 13)");
+    }
 
     #[test]
     fn a_wrong_run_lists_the_runs_that_are_there() {

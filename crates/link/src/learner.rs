@@ -87,9 +87,9 @@ impl LearnerLink {
     ///
     /// # Errors
     ///
-    /// [`Error::AddressInUse`], [`Error::NotASocket`], [`Error::Listen`], [`Error::Unreachable`] (a router that is not
-    /// there), [`Error::AnotherLearner`] (with a certificate, behind a router: another learner of the run answers there),
-    /// [`Error::Name`] (a domain that cannot be part of a key) or [`Error::Network`].
+    /// [`Error::AddressInUse`], [`Error::NotOurAddress`], [`Error::NotASocket`], [`Error::Listen`],
+    /// [`Error::Unreachable`] (a router that is not there), [`Error::AnotherLearner`] (with a certificate, behind a router: another
+    /// learner of the run answers there), [`Error::Name`] (a domain that cannot be part of a key) or [`Error::Network`].
     pub async fn open(
         run: &RunName,
         domain: &str,

@@ -22,7 +22,7 @@ impl RouterLink {
     ///
     /// # Errors
     ///
-    /// [`Error::NoEndpoint`], [`Error::AddressInUse`], [`Error::NotASocket`] or [`Error::Listen`].
+    /// [`Error::NoEndpoint`], [`Error::AddressInUse`], [`Error::NotOurAddress`], [`Error::NotASocket`] or [`Error::Listen`].
     pub async fn open(settings: &ListenSettings) -> Result<Self> {
         if settings.endpoints.is_empty() {
             return Err(Error::NoEndpoint);

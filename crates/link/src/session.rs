@@ -216,16 +216,38 @@ async fn listen_with(
     } else if let Some(own) = own {
         special.push(access::for_us_alone(own));
     }
-    open(config(&special)).await?.map_err(|source| {
-        let endpoint = describe(&settings.endpoints).trim_matches('`').to_owned();
-        let text = source.to_string();
-        // The library has no codes, only words: the kernel's for a port, its own for a socket's lock file.
-        if text.contains("in use") || text.contains("Unable to acquire lock") {
-            Error::AddressInUse(endpoint)
-        } else {
-            Error::Listen { endpoint, source: NetworkFault(source) }
+    open(config(&special)).await?.map_err(|source| not_listening(&settings.endpoints, source))
+}
+
+/// Says at which address nobody can listen, and why. The library has no codes, only words: the kernel's for a port, its own for a
+/// socket's lock file.
+fn not_listening(endpoints: &[Endpoint], source: zenoh::Error) -> Error {
+    let text = source.to_string();
+    let has = |words: &str| text.contains(words);
+    let named = at_fault(endpoints, &text);
+    let shown = named.map_or_else(
+        || describe(endpoints).trim_matches('`').to_owned(),
+        |endpoint| endpoint.plain().to_owned(),
+    );
+    if has("in use") || has("Unable to acquire lock") {
+        return Error::AddressInUse(shown);
+    }
+    match named.and_then(Endpoint::host) {
+        Some(host) if has("Cannot assign requested address") => {
+            Error::NotOurAddress(host.to_owned())
         }
-    })
+        _ => Error::Listen { endpoint: shown, source: NetworkFault(source) },
+    }
+}
+
+/// Finds the address that the library's words are about; `None` if they name none of several. One may be the beginning of another, so
+/// the longest counts.
+fn at_fault<'a>(endpoints: &'a [Endpoint], text: &str) -> Option<&'a Endpoint> {
+    if let [only] = endpoints {
+        return Some(only);
+    }
+    let named = endpoints.iter().filter(|endpoint| text.contains(endpoint.parts().1));
+    named.max_by_key(|endpoint| endpoint.parts().1.len())
 }
 
 /// Returns whether somebody is at the other end of a client's session.
@@ -398,6 +420,18 @@ mod tests {
             wait_before_close(1),
         ]);
         assert!(config.get_json("listen/endpoints").unwrap().contains("127.0.0.1:0"));
+    }
+
+    #[test]
+    fn the_address_at_fault_is_the_one_that_is_named() {
+        let endpoints = ["unixsock-stream//tmp/a", "tcp/127.0.0.1:744", "tcp/127.0.0.1:7447"];
+        let endpoints = endpoints.map(|text| text.parse::<Endpoint>().unwrap());
+        for at in &endpoints {
+            let told = format!("Can not create a new listener bound to {at}: in use");
+            assert_eq!(at_fault(&endpoints, &told), Some(at));
+        }
+        assert_eq!(at_fault(&endpoints, "something else"), None);
+        assert_eq!(at_fault(&endpoints[..1], "something else"), Some(&endpoints[0]));
     }
 
     #[test]

@@ -42,7 +42,7 @@ use crate::naming::{make_new, unfinished};
 use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
 use crate::record::INITIAL_POLICY;
 use crate::regular;
-use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult, SettingChange};
+use crate::{ForkOrigin, ProgramBuild, ResultCause, RunRecord, RunResult, SettingChange};
 
 /// A locked run directory.
 #[derive(Debug)]
@@ -92,8 +92,8 @@ impl RunDir {
     ///
     /// # Errors
     ///
-    /// [`RunDirError`] if the configuration names no run, or one in which nothing was trained yet; what was trained is
-    /// untouched then.
+    /// [`RunDirError`] if the configuration names no run, one in which nothing was trained yet, or one that is finished and
+    /// was trained with other values; what was trained is untouched then.
     pub fn open_changed(
         config: &Config,
         keys: &[String],
@@ -131,6 +131,9 @@ impl RunDir {
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
                 let state = compare(&record, &before, &config.table, name, allowed)?;
+                if state == RunState::Finished {
+                    refuse_late_change(config, name, &record, &before, allowed)?;
+                }
                 // A learner writes them again from the last checkpoint. The result stays until then.
                 let is_restored = state == RunState::Finished && trained.has_lost_policies(&path);
                 let is_opened = state == RunState::Unfinished || is_restored;
@@ -210,6 +213,26 @@ impl RunDir {
         let io = |source| RunDirError::Io { path: self.path.clone(), source };
         self.record.write(&self.path).map_err(io)
     }
+}
+
+/// Refuses an allowed change in a run that has made all its steps, or has reached its mark: nothing would be trained with it.
+fn refuse_late_change(
+    config: &Config,
+    name: &RunName,
+    record: &RunRecord,
+    before: &Table,
+    allowed: &[String],
+) -> Result<(), RunDirError> {
+    let mut changes = difference(before, &config.table);
+    changes.retain(|change| allowed.contains(&change.key));
+    let Some(Change { key, after, .. }) = changes.first() else { return Ok(()) };
+    let further = match record.result.as_ref().map(|result| result.end) {
+        Some(ResultCause::StopAt) => "raise `evaluation.stop_at`, or leave it out".to_owned(),
+        _ => format!("add --steps above {}", config.learner.total_steps),
+    };
+    Err(RunDirError::Refused(format!(
+        "--change: run `{name}` is finished, so nothing is trained with `{key} = {after}`: {further}"
+    )))
 }
 
 /// Lists the settings that change, of all differences those that are allowed.

@@ -1,5 +1,4 @@
 use super::*;
-use crate::ResultCause;
 use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
@@ -161,6 +160,35 @@ fn a_finished_run_stays_finished_unless_it_may_go_on_for_longer() {
     assert_eq!(open(runs.path(), Some("r"), &longer).unwrap().1, RunState::Unfinished);
     let error = open(runs.path(), Some("r"), &["learner.total_steps=1000"]).unwrap_err();
     assert!(error.to_string().contains("began with another configuration"), "{error}");
+}
+
+#[test]
+fn a_change_with_which_nothing_would_be_trained_is_refused() {
+    let runs = tempfile::tempdir().unwrap();
+    let change = |set: &[&str]| {
+        let keys = ["learner.clip".to_owned()];
+        let opened = RunDir::open_changed(&config(runs.path(), Some("r"), set), &keys, &build("a"));
+        opened.map(|(_, state)| state).map_err(|error| error.to_string())
+    };
+    let finish = |end: ResultCause, set: &[&str]| {
+        let (mut run, _) = open(runs.path(), Some("r"), set).unwrap();
+        run.finish(RunResult { end, ..result() }).unwrap();
+    };
+    begun(runs.path(), Some("r"), &["evaluation.stop_at=0.5"]);
+    finish(ResultCause::StopAt, &["evaluation.stop_at=0.5"]);
+    let refused =
+        "--change: run `r` is finished, so nothing is trained with `learner.clip = 0.1`: ";
+    let further = "raise `evaluation.stop_at`, or leave it out";
+    let told = change(&["evaluation.stop_at=0.5", "learner.clip=0.1"]);
+    assert_eq!(told, Err(format!("{refused}{further}")));
+    // The value that it has anyway.
+    let same = change(&["evaluation.stop_at=0.5", "learner.clip=0.2"]);
+    assert_eq!(same, Ok(RunState::Finished));
+    finish(ResultCause::TotalSteps, &[]);
+    let told = change(&["learner.clip=0.1"]);
+    assert_eq!(told, Err(format!("{refused}add --steps above 500000")));
+    let further = change(&["learner.clip=0.1", "learner.total_steps=600000"]);
+    assert_eq!(further, Ok(RunState::Unfinished));
 }
 
 #[test]

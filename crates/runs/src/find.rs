@@ -22,6 +22,12 @@ pub fn find_run(runs: &Path, name: &Path) -> Result<PathBuf, RunDirError> {
     // A run that has lost its record is still a run: reading it says what is missing.
     let found = whole.or_else(|| candidates.iter().find(|path| is_run(path)));
     found.cloned().ok_or_else(|| {
+        if name.is_file() {
+            let name = quoted(&name.to_string_lossy());
+            return RunDirError::Refused(format!(
+                "`{name}` is a file, and a run is wanted here; `leadtime eval` evaluates a policy file"
+            ));
+        }
         let meant = did_you_mean_run(runs, name);
         let (name, runs) = (quoted(&name.to_string_lossy()), runs.display());
         RunDirError::Refused(format!("there is no run `{name}` in {runs}{meant}"))
@@ -79,5 +85,9 @@ mod tests {
         assert_eq!(find_run(&runs, &here).unwrap(), here);
         let missing = find_run(&runs, Path::new("s")).unwrap_err().to_string();
         assert!(missing.starts_with("there is no run `s`"), "{missing}");
+        let policy = here.join("policy.safetensors");
+        fs::write(&policy, "").unwrap();
+        let told = find_run(&runs, &policy).unwrap_err().to_string();
+        assert!(told.contains("`leadtime eval` evaluates a policy file"), "{told}");
     }
 }

@@ -25,12 +25,14 @@ use crate::regular;
 pub const LAST_POLICY: &str = "policy.safetensors";
 /// File of the best policy in a run directory.
 pub const BEST_POLICY: &str = "best.safetensors";
+/// Metadata key of the task's domain.
+const DOMAIN: &str = "domain";
 /// Metadata key of the configuration, as TOML.
 const CONFIG: &str = "config";
 /// Metadata key of the optimiser iterations that made the policy.
 pub(crate) const VERSION: &str = "policy_version";
 
-/// Metadata key of the digest over the weights; files of earlier releases do not have it.
+/// Metadata key of the digest over the weights; files that older builds wrote do not have it.
 pub(crate) const WEIGHTS_SHA256: &str = "weights_sha256";
 
 /// Why a policy cannot be used.
@@ -135,14 +137,38 @@ impl Fork {
     ///
     /// # Errors
     ///
-    /// [`PolicyFileError`] if there are none, or if they do not fit the new run's networks.
+    /// [`PolicyFileError`] if there are none, or if they are of another task or do not fit the new run's networks.
     pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
         let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
         let (bytes, metadata) = read(&path)?;
-        let (_, weights_sha256) = weights(&path, &bytes, &metadata, &config.policy)?;
+        let weights = weights(&path, &bytes, &metadata, &config.policy);
+        let (_, weights_sha256) =
+            weights.map_err(|error| of_another(error, config, run, &metadata))?;
         let origin = ForkOrigin { run: run.display().to_string(), weights_sha256 };
         Ok(Self { origin, bytes })
     }
+}
+
+/// Says in what the weights of a run are others than the new run needs, where they do not fit it.
+fn of_another(
+    error: PolicyFileError,
+    config: &Config,
+    run: &Path,
+    metadata: &BTreeMap<String, String>,
+) -> PolicyFileError {
+    let PolicyFileError::Misfit { source, .. } = &error else { return error };
+    let run = run.display();
+    let domain = metadata.get(DOMAIN).filter(|domain| *domain != config.domain.as_str());
+    PolicyFileError::NoPolicy(match domain {
+        Some(domain) => format!(
+            "`{run}` was trained on {domain}, and the new run is of {}; --fork needs a run of the same task",
+            config.domain
+        ),
+        None => format!(
+            "`{run}` has another observation, other choices or other networks (`policy`) than the new run: {}",
+            with_causes(source)
+        ),
+    })
 }
 
 /// Returns the digest over the parameters in a policy file, as a run's result has it.
@@ -171,7 +197,7 @@ pub fn metadata(config: &Config, run: &str) -> BTreeMap<String, String> {
     let description = &config.description;
     let names = description.observation.quantities().into_iter().map(|quantity| quantity.name);
     let entries = [
-        ("domain", config.domain.to_string()),
+        (DOMAIN, config.domain.to_string()),
         // Names, numbers and lists always are JSON.
         ("architecture", json!(config.policy).to_string()),
         ("observation", json!(names.collect::<Vec<_>>()).to_string()),
@@ -277,6 +303,23 @@ mod tests {
         assert!(says("landr-1").ends_with("; did you mean `lander-1`?"), "{}", says("landr-1"));
         assert!(says("moon").ends_with(" with a policy"), "{}", says("moon"));
         assert!(says("lander-1").ends_with(" with a policy"), "{}", says("lander-1"));
+    }
+
+    #[test]
+    fn weights_of_another_task_are_told_from_those_of_another_shape() {
+        let runs = tempfile::tempdir().unwrap();
+        let file = runs.path().join("one.safetensors");
+        let config = |base, set: &[&str]| crate::test_support::config(runs.path(), base, "s", set);
+        let one = config("cartpole", &[]);
+        let parameters = Parameters::initialize(&one.policy, 1).unwrap();
+        fs::write(&file, parameters.to_safetensors(&metadata(&one, "one")).unwrap()).unwrap();
+        let fork = |config: &Config| Fork::read(config, &file).map_err(|error| error.to_string());
+        fork(&one).unwrap();
+        let other = fork(&config("lander", &[])).unwrap_err();
+        let told = "was trained on cartpole, and the new run is of lander; --fork needs a run of the same task";
+        assert!(other.ends_with(told), "{other}");
+        let wider = fork(&config("cartpole", &["policy.hidden=[32]"])).unwrap_err();
+        assert!(wider.contains("other networks (`policy`) than the new run: "), "{wider}");
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //! * A run leaves the list in one step: it is renamed before it is removed. What a removal that was killed has left goes with the
 //!   next one.
 //! * Where the best runs stay, so do those that cannot be compared: each of them may be the best. One whose weights are gone is
-//!   none: it never takes the place of one that has some.
+//!   none, even where it is alone.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
@@ -156,10 +156,10 @@ fn locks(path: &Path) -> Option<Vec<File>> {
 }
 
 /// Names the best run of each configuration, by held-out episodes where it has some, else by its training episodes; and those
-/// that may be it, because they cannot be read.
+/// that may be it, because they cannot be read. One without weights is none.
 fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
     let mut stays = BTreeMap::new();
-    let mut best: BTreeMap<[u8; 32], ((bool, f64), String)> = BTreeMap::new();
+    let mut best: BTreeMap<[u8; 32], (f64, String)> = BTreeMap::new();
     for (name, path) in runs.iter().filter(|(name, _)| !is_left(name)) {
         let is_journal_read = journal::last(path, "update").is_ok();
         let (Ok(config), Ok(record), true) =
@@ -171,13 +171,16 @@ fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
         let listed = ListedRun::new(path, record);
         let has_weights =
             policy_file::is_in(path) || !checkpoints(path).is_ok_and(|found| found.is_empty());
-        if has_weights && listed.held_out.is_none() && !held_out::read(path).is_empty() {
+        if !has_weights {
+            continue;
+        }
+        if listed.held_out.is_none() && !held_out::read(path).is_empty() {
             // Its best policy is gone or damaged, and its checkpoints may hold it.
             stays.insert(name.clone(), StaysBecause::Unreadable);
             continue;
         }
         let score = listed.held_out.or(listed.success).or(listed.episode_return);
-        let score = (has_weights, score.unwrap_or(f64::NEG_INFINITY));
+        let score = score.unwrap_or(f64::NEG_INFINITY);
         let entry = best.entry(identity::of_training(&config));
         let found = entry.or_insert_with(|| (score, name.clone()));
         if score > found.0 {
@@ -296,15 +299,18 @@ mod tests {
             fs::write(path.join(RECORD), record.to_string()).unwrap();
             let line = format!("{{\"update\": 1, \"episodes/success\": {success}}}\n");
             fs::write(path.join("metrics.jsonl"), line).unwrap();
+            fs::write(path.join("policy.safetensors"), "weights").unwrap();
         }
         let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
         let best = Some(StaysBecause::Best);
         let expected = [("a", None), ("b", best), ("c", None), ("d", best)];
         assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
-        // The weights of the best are gone; those of another are there.
-        fs::write(runs.path().join("c/policy.safetensors"), "weights").unwrap();
+        // The weights of the best are gone, and those of a run that is alone with its configuration.
+        for name in ["b", "d"] {
+            fs::remove_file(runs.path().join(name).join("policy.safetensors")).unwrap();
+        }
         let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
-        let expected = [("a", None), ("b", None), ("c", best), ("d", best)];
+        let expected = [("a", None), ("b", None), ("c", best), ("d", None)];
         assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
         // It was evaluated, and the policy that this is about cannot be told any more.
         let evaluated = "{\"update\": 7, \"held_out/success\": 0.8}\n";
@@ -319,7 +325,7 @@ mod tests {
         fs::create_dir(runs.path().join("c/metrics.jsonl")).unwrap();
         let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
         let unknown = Some(StaysBecause::Unreadable);
-        let expected = [("a", unknown), ("b", unknown), ("c", unknown), ("d", best)];
+        let expected = [("a", unknown), ("b", unknown), ("c", unknown), ("d", None)];
         assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
     }
 }

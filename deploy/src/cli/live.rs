@@ -13,7 +13,9 @@ use leadtime_serve::{MAX_SESSIONS, PolicyOrigin, SayForm, StepClock};
 use leadtime_voice::VoiceChoice;
 use leadtime_voice::loudspeaker::APLAY;
 
-use super::{GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, duration, n_episodes, seconds};
+use super::{
+    GuardArgs, RobotArgs, ShownArgs, TlsArgs, action, command, duration, n_episodes, seconds,
+};
 
 /// `leadtime serve`
 #[derive(Debug, Args)]
@@ -23,7 +25,7 @@ pub(crate) struct ServeArgs {
     /// Where to listen: `tcp/127.0.0.1:7448`; port 0 takes a free one; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
-    /// Routers to connect to, instead of listening or beside it.
+    /// Routers to connect to, instead of listening or beside it; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     #[command(flatten)]
@@ -39,6 +41,7 @@ pub(crate) struct ServeArgs {
     pub voice: VoiceChoice,
     /// Play what is said on this machine: by aplay, or by a command that takes raw 16-bit samples, `{rate}` a second. One client.
     #[arg(long, value_name = "COMMAND", num_args = 0..=1, require_equals = true, default_missing_value = APLAY)]
+    #[arg(value_parser = command)]
     pub play: Option<String>,
     /// Speak in these sentences: a database file, or a domain (default: those that come with the policy's domain).
     #[arg(long, value_name = "DATABASE")]
@@ -66,7 +69,7 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_parser = action())]
     pub action: Option<Choice>,
     /// Seed of the draws of sessions whose client names none.
-    #[arg(long, default_value_t = evaluation::EVAL_SEED)]
+    #[arg(long, default_value_t = evaluation::EVAL_SEED, allow_negative_numbers = true)]
     pub seed: u64,
     /// Directory that holds the runs.
     #[arg(long, value_name = "DIR", default_value = "runs")]
@@ -130,9 +133,9 @@ pub(crate) struct NotifierArgs {
 #[derive(Debug, Args)]
 pub(crate) struct DriveArgs {
     /// The world: a built-in configuration, a configuration file, a policy file or a run.
-    #[arg(value_name = "DOMAIN")]
+    #[arg(value_name = "TASK")]
     pub task: PathBuf,
-    /// Where the notifier is.
+    /// Where the notifier is; repeatable.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
     #[command(flatten)]
@@ -141,10 +144,11 @@ pub(crate) struct DriveArgs {
     #[arg(long, value_name = "NAME")]
     pub client: Option<ClientName>,
     /// Episodes (default: the configuration's).
-    #[arg(long, value_parser = n_episodes())]
+    #[arg(long, value_name = "N", value_parser = n_episodes())]
     pub episodes: Option<u32>,
     /// Seed of the episodes, and of the notifier's draws.
-    #[arg(long, default_value_t = evaluation::EVAL_SEED)]
+    #[arg(long, value_name = "SEED", default_value_t = evaluation::EVAL_SEED)]
+    #[arg(allow_negative_numbers = true)]
     pub eval_seed: u64,
     /// When the notifier takes a step: by its own clock, or with every observation. The latter does not wait for anything,
     /// and its episodes are those of `eval`, message by message.
@@ -187,7 +191,7 @@ impl DriveArgs {
 /// `leadtime record`
 #[derive(Debug, Args)]
 pub(crate) struct RecordArgs {
-    /// Where the notifier is, or a router.
+    /// Where the notifier is, or a router; repeatable.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub connect: Vec<String>,
     #[command(flatten)]
@@ -199,7 +203,7 @@ pub(crate) struct RecordArgs {
     #[arg(long, value_name = "NAME", conflicts_with_all = ["service", "live"])]
     pub run: Option<String>,
     /// The recording, which must not be there yet.
-    #[arg(short, long, value_name = "FILE.mcap")]
+    #[arg(short, long, alias = "out", value_name = "FILE.mcap")]
     pub output: PathBuf,
     /// End after this time (default: on Ctrl-C).
     #[arg(long, value_name = "DURATION", value_parser = duration)]
@@ -219,7 +223,7 @@ pub(crate) struct ReplayArgs {
     /// The voice, in whose time words end (default: the recording's; a `pipe:` or `recorded:` has to be given).
     #[arg(long, value_name = "VOICE", conflicts_with = "connect")]
     pub voice: Option<VoiceChoice>,
-    /// Send the observations to this notifier instead of replaying them in this process.
+    /// Send the observations to this notifier instead of replaying them in this process; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     #[command(flatten)]

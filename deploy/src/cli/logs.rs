@@ -5,15 +5,19 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 
+/// The place in the help of what every command takes: after its own options, however many they are.
+const AT_THE_END: usize = 900;
+
 /// How the log is written.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct LogArgs {
     /// How lines of the log are written.
     #[arg(long, global = true, value_name = "FORMAT", value_enum, default_value_t)]
+    #[arg(display_order = AT_THE_END + 2)]
     pub log_format: LogFormat,
     /// Write the log to the end of this file instead of standard error. It is opened again when it was moved away, and on
     /// SIGHUP.
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, value_name = "FILE", display_order = AT_THE_END + 3)]
     pub log_file: Option<PathBuf>,
 }
 
@@ -41,10 +45,10 @@ impl LogArgs {
 #[derive(Clone, Copy, Debug, Args)]
 pub(crate) struct Verbosity {
     /// Say nothing but warnings and results.
-    #[arg(short, long, global = true, conflicts_with = "verbose")]
+    #[arg(short, long, global = true, conflicts_with = "verbose", display_order = AT_THE_END)]
     pub quiet: bool,
     /// Also say what helps to find out why something goes wrong.
-    #[arg(short, long, global = true)]
+    #[arg(short, long, global = true, display_order = AT_THE_END + 1)]
     pub verbose: bool,
 }
 

@@ -37,7 +37,7 @@ pub(crate) struct RouterArgs {
     /// Where to listen: `tls/0.0.0.0:7447`, `tcp/127.0.0.1:7447`; repeatable.
     #[arg(long, value_name = "ENDPOINT", required = true)]
     pub listen: Vec<String>,
-    /// Routers above this one; routers make a tree.
+    /// Routers above this one; routers make a tree; repeatable.
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Also pull weights for the actors of this region, each version once: for actors started with the same --region.
@@ -145,7 +145,7 @@ pub(crate) struct CertsAclArgs {
     #[arg(value_name = "DIR")]
     pub directory: PathBuf,
     /// The file (default: standard output).
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, alias = "output", value_name = "FILE")]
     pub out: Option<PathBuf>,
 }
 

@@ -18,17 +18,19 @@ pub(crate) struct RobotArgs {
     #[arg(long, value_name = "KEY", requires = "obs_key", help_heading = HEADING)]
     pub say_key: Option<String>,
     /// The form of its observations: numbers alone (f32, little-endian), our JSON, or the CDR of a `Float32MultiArray`.
-    #[arg(long, value_enum, default_value_t, requires = "obs_key", help_heading = HEADING)]
+    #[arg(long, value_name = "FORM", value_enum, default_value_t, requires = "obs_key")]
+    #[arg(help_heading = HEADING)]
     pub obs_form: ObsForm,
     /// The form of what is said (default: JSON; with --obs-form cdr the CDR of a String that holds it).
-    #[arg(long, value_enum, requires = "say_key", help_heading = HEADING)]
+    #[arg(long, value_name = "FORM", value_enum, requires = "say_key", help_heading = HEADING)]
     pub say_form: Option<SayKeyForm>,
     /// Speak to ROS 2 through `rmw_zenoh`, in this domain (experimental): `Float32MultiArray` in, `String` out.
     #[arg(long, value_name = "DOMAIN", group = "robot", help_heading = HEADING)]
     #[arg(value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
     pub ros2: Option<u32>,
     /// The ROS distribution; what came after Jazzy speaks as Jazzy does.
-    #[arg(long, value_enum, default_value_t, requires = "ros2", help_heading = HEADING)]
+    #[arg(long, value_name = "DISTRO", value_enum, default_value_t, requires = "ros2")]
+    #[arg(help_heading = HEADING)]
     pub ros2_distro: DistroName,
     /// What its topics begin with: NAME/obs, NAME/say, NAME/status.
     #[arg(long, value_name = "NAME", default_value = "leadtime", requires = "ros2")]

@@ -97,7 +97,7 @@ pub(crate) struct TaxonomyBuildArgs {
     pub plan: PlanArgs,
     /// Directory for call log, database, report and everything that was proposed; a run that was cut off goes on from
     /// the call log in it.
-    #[arg(short, long, value_name = "DIR", default_value = "words")]
+    #[arg(short, long, alias = "out", value_name = "DIR", default_value = "words")]
     pub output: PathBuf,
     /// Make no calls: rebuild the database of a finished call log, byte for byte.
     #[arg(long, value_name = "LOG")]
@@ -156,7 +156,7 @@ pub(crate) struct TaxonomyReportArgs {
     #[arg(long, value_name = "DIR", requires = "log")]
     pub prompts: Option<PathBuf>,
     /// Write the report here instead of printing it.
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, alias = "out", value_name = "FILE")]
     pub output: Option<PathBuf>,
 }
 
@@ -180,7 +180,7 @@ pub(crate) struct TaxonomyExportArgs {
     #[arg(long, value_enum, default_value = "csv")]
     pub format: ExportFormat,
     /// Write it here instead of printing it.
-    #[arg(short, long, value_name = "FILE")]
+    #[arg(short, long, alias = "out", value_name = "FILE")]
     pub output: Option<PathBuf>,
 }
 
@@ -193,7 +193,7 @@ pub(crate) struct TaxonomySpeakArgs {
     #[arg(long, value_name = "VOICE", default_value = "flite")]
     pub voice: VoiceChoice,
     /// Directory for `sound.wav` and `voice.json`.
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, alias = "out", value_name = "DIR")]
     pub output: PathBuf,
 }
 

@@ -11,12 +11,12 @@ use crate::output;
 
 pub(super) fn run(tasks: &Tasks, args: &ConfigArgs) -> Result<(), Failure> {
     let names: Vec<&str> = tasks.catalog.names().collect();
-    let Some(domain) = args.domain.as_deref().map(OsStr::to_string_lossy) else {
+    let Some(name) = args.name.as_deref().map(OsStr::to_string_lossy) else {
         names.into_iter().for_each(output::line);
         return Ok(());
     };
-    let Some(text) = tasks.catalog.text(&domain) else {
-        return Err(Failure::input(no_such("configuration", &domain, names)));
+    let Some(text) = tasks.catalog.text(&name) else {
+        return Err(Failure::input(no_such("configuration", &name, names)));
     };
     output::data(text.blame(ExitCode::WrongInput)?.trim_end());
     Ok(())

@@ -221,10 +221,14 @@ fn network_options(args: &LearnerArgs) -> Vec<OsString> {
 /// Chooses the exit code for a learner's error.
 fn failure(error: leadtime_learner::Error) -> Failure {
     use leadtime_learner::Error;
-    let code = match &error {
-        Error::Link(error) if is_wrong_input(error) || is_wrong_address(error) => {
-            ExitCode::WrongInput
+    let error = match error {
+        // What was given is at fault, and not the network.
+        Error::Link(error) if is_wrong_input(&error) || is_wrong_address(&error) => {
+            return Failure::of(ExitCode::WrongInput, error);
         }
+        error => error,
+    };
+    let code = match &error {
         Error::Checkpoint(_) | Error::ConfigurationChanged { .. } => ExitCode::WrongInput,
         Error::Link(_) => ExitCode::PeerLost,
         _ => ExitCode::Failed,

@@ -56,7 +56,7 @@ pub(super) async fn run(
 /// Loads the domain's configuration, made small for a quick run.
 fn configure(tasks: &Tasks, args: &SmokeArgs) -> anyhow::Result<Config> {
     let mut source = args.source.clone();
-    source.config.get_or_insert_with(|| args.domain.clone());
+    source.config = source.config.or_else(|| args.domain.clone());
     let config = source.load(tasks, None)?;
     if !args.quick {
         return Ok(config);

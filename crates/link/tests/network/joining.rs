@@ -93,11 +93,30 @@ async fn an_address_in_use_is_named() {
         let error = listen_error(taken).await;
         assert!(matches!(&error, Error::AddressInUse { .. }), "{error}: {:?}", error.source());
     }
+    // Of two, only the one that is taken is blamed.
+    let free = tempfile::tempdir().unwrap();
+    let free = format!("unixsock-stream/{}", free.path().join("z").display());
+    let taken = first.locators().remove(0);
+    let error = listen_error_at(&[&free, &taken]).await.to_string();
+    assert!(error.starts_with(&format!("--listen: `{taken}` is in use: ")), "{error}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_address_of_another_machine_is_told_as_that() {
+    // It is kept for documentation: no machine has it.
+    let error = listen_error("tcp/192.0.2.1:7447").await;
+    let told = "--listen: this machine has no address 192.0.2.1: listen on one of its own, or on 0.0.0.0 for all";
+    assert_eq!(error.to_string(), told);
 }
 
 /// Opens a learner where none can be.
 async fn listen_error(endpoint: &str) -> Error {
-    let settings = ListenSettings::new(vec![endpoint.parse().unwrap()]);
+    listen_error_at(&[endpoint]).await
+}
+
+async fn listen_error_at(endpoints: &[&str]) -> Error {
+    let endpoints = endpoints.iter().map(|endpoint| endpoint.parse().unwrap());
+    let settings = ListenSettings::new(endpoints.collect());
     let opened = LearnerLink::open(&run("two"), DOMAIN, &learner_start(), &settings).await;
     opened.map(drop).unwrap_err()
 }
