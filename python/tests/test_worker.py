@@ -444,6 +444,19 @@ def test_environments_that_fail_alike_print_one_traceback():
     assert printed.getvalue().count("Traceback") == 1, printed.getvalue()
 
 
+def test_an_observation_may_be_a_part_of_a_larger_array():
+    class Strided(Toy):
+        def look(self):
+            return np.array([[self.n, 9], [self.first, 9]], np.float32)[::-1, 0]
+
+    pair = Pair(lambda index: Strided(length=2))
+    (first, *_), _ = pair.begin(seed=1)
+    (row, _, end, _, _), failures = pair.step([0])
+    assert row.tolist() == [first[0], 1] and end == worker.NONE and not failures, (row, failures)
+    (row, _, end, _, rest), failures = pair.step([0], seed=1)
+    assert np.array_equal(row, first) and rest[:2].tolist() == [first[0], 2] and not failures, (row, rest, failures)
+
+
 def test_what_is_float64_or_leaves_its_box_is_told_once():
     class Wide(Toy):
         def look(self):
