@@ -485,6 +485,16 @@ def test_an_environment_is_put_back_by_its_actions_and_by_a_pickle():
     assert "ends after" in failures[0], failures
 
 
+def test_a_pickle_that_fits_no_snapshot_is_refused_by_its_size():
+    pair = Pair(lambda index: Toy())
+    pair.begin()
+    for weight, fits in ((100_000, True), (300_000, False)):
+        pair.worker.envs[0].weight = b"x" * weight
+        pickled, failures = pair.ask(worker.SNAPSHOT, struct.pack("<H", 0))
+        assert (len(pickled) > weight, failures == []) == (fits, fits), (weight, len(pickled), failures)
+    assert re.fullmatch(r"its pickle has 3\d{5} bytes, and at most 196608 fit a snapshot; .*\"replay\".*", failures[0]), failures
+
+
 def run(directory, *arguments, code=0):
     finished = subprocess.run(["leadtime", *arguments], cwd=directory, capture_output=True, text=True, timeout=300)
     assert finished.returncode == code, (arguments, finished.returncode, finished.stdout, finished.stderr)
