@@ -111,6 +111,10 @@ fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
         finished.saying(&[told]);
         assert_eq!(found, expected, "{mode}");
     }
+    // A second environment that is made in more than `step_timeout` is waited for, as the first one is.
+    let (slow, finished) = train(&place, "slow", "makes-slowly", "");
+    assert!(!finished.stderr.contains("is started again"), "{}", finished.stderr);
+    assert_eq!(slow, expected);
     let (pickled, _) = train(&place, "pickled", "", "snapshot = \"pickle\"");
     assert_eq!(pickled, expected, "a pickle puts an environment where its actions do");
 }

@@ -122,6 +122,8 @@ def main():
                     rewards.append(0.0)
                     ends.append(3)
                     continue
+                if bad == "makes-slowly" and slot == 1 and slot not in envs:
+                    time.sleep(1.5)
                 env = envs[slot] = pickle.loads(base) if base else CartPole()
                 observation = getattr(env, "state", [0.0] * 4) if base else env.reset(seed)
                 for action in actions:

@@ -4,13 +4,13 @@
 //! their [`WorkerSlot`]s remember, and what was under way is asked once more. An environment whose step raises an exception is put
 //! back once, too; if it raises again it has failed.
 
-use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use leadtime_proto::limits::MAX_SNAPSHOT_BYTES;
 use leadtime_sims::EpisodeSeed;
 use tracing::warn;
 
+use crate::deaths::{MAX_DEATHS, WorkerDeaths};
 use crate::error::Error;
 use crate::launch::WorkerLaunch;
 use crate::process::{LineLimit, NotBegun, WorkerProcess};
@@ -22,10 +22,6 @@ use crate::slot::{StepProgress, WorkerSlot, reset_seed};
 
 /// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
 pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
-/// The number of deaths within [`DEATH_WINDOW`] after which a worker is given up.
-const MAX_DEATHS: usize = 3;
-/// Deaths are counted over this time.
-const DEATH_WINDOW: Duration = Duration::from_mins(1);
 
 /// A worker and its environments.
 #[derive(Debug)]
@@ -35,11 +31,13 @@ pub(crate) struct WorkerLink {
     shape: FrameShape,
     process: Option<WorkerProcess>,
     slots: Vec<WorkerSlot>,
+    /// Whether the process has an environment at the place. Making one may take longer than a step.
+    made: Vec<bool>,
     /// Slots whose steps are announced, and not sent yet.
     announced: Vec<usize>,
     /// Slots whose steps are sent, and not answered yet.
     sent: Vec<usize>,
-    deaths: VecDeque<Instant>,
+    deaths: WorkerDeaths,
     /// Why there is no worker any more.
     lost: Option<String>,
     frame: FrameWriter,
@@ -71,12 +69,13 @@ impl WorkerLink {
         Ok(Self {
             hello,
             slots: (0..launch.batch).map(|_| WorkerSlot::default()).collect(),
+            made: vec![false; launch.batch],
             launch,
             shape,
             process: Some(process),
             announced: Vec::new(),
             sent: Vec::new(),
-            deaths: VecDeque::new(),
+            deaths: WorkerDeaths::default(),
             lost: None,
             frame: FrameWriter::default(),
             rows: Vec::new(),
@@ -200,8 +199,12 @@ impl WorkerLink {
                 return;
             }
             let sent = std::mem::take(&mut self.sent);
-            match self.read_rows(&sent, sent.len() as u32) {
-                Ok(()) => self.take_in(&sent),
+            let timeout = self.launch.step_timeout;
+            match self.read_rows(&sent, timeout, timeout.saturating_mul(sent.len() as u32)) {
+                Ok(()) => {
+                    self.deaths.stepped();
+                    self.take_in(&sent);
+                }
                 Err(error) => {
                     self.sent = sent;
                     self.replace(&error);
@@ -298,7 +301,17 @@ impl WorkerLink {
         }
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
         process.send(self.frame.finish())?;
-        self.read_rows(places, n_steps as u32)
+        // One that the process has yet to make may take as long as its first one.
+        let (step, making) = (self.launch.step_timeout, self.launch.start_timeout());
+        let n_made = places.iter().filter(|place| self.made[**place]).count();
+        let n_new = (places.len() - n_made) as u32;
+        let timeout = if n_new > 0 { making } else { step };
+        let patience = step.saturating_mul(n_steps as u32);
+        self.read_rows(places, timeout, patience.saturating_add(making.saturating_mul(n_new)))?;
+        for (&place, row) in places.iter().zip(&self.rows) {
+            self.made[place] |= !row.has_failed;
+        }
+        Ok(())
     }
 
     fn ask_to_step(&mut self) -> Result<(), ProtocolError> {
@@ -331,11 +344,14 @@ impl WorkerLink {
         })
     }
 
-    /// Reads an answer about some slots, whose environments take so many steps for it.
-    fn read_rows(&mut self, places: &[usize], n_steps: u32) -> Result<(), ProtocolError> {
+    /// Reads an answer about some slots, which may take `patience` in all, and be silent for `timeout`.
+    fn read_rows(
+        &mut self,
+        places: &[usize],
+        timeout: Duration,
+        patience: Duration,
+    ) -> Result<(), ProtocolError> {
         let (shape, slots) = (self.shape, &mut self.slots);
-        let timeout = self.launch.step_timeout;
-        let patience = timeout.saturating_mul(n_steps.max(1));
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
         let (kind, most) = (FrameKind::Stepped, shape.max_stepped_bytes(places.len()));
         let body = process.answer(kind, most, timeout, patience, |slot, text| {
@@ -365,18 +381,13 @@ impl WorkerLink {
 
     /// Counts a death, and gives the worker up if there were too many.
     fn may_try_again(&mut self, how: &str) -> bool {
-        let now = Instant::now();
-        self.deaths.push_back(now);
-        self.deaths.retain(|death| now.saturating_duration_since(*death) < DEATH_WINDOW);
-        let (n_deaths, can_go_on) = (self.deaths.len(), self.launch.snapshot != SnapshotKind::None);
-        if can_go_on && n_deaths < MAX_DEATHS {
-            return true;
-        }
         let (command, reason) = (self.launch.command.clone(), how.to_owned());
-        let lost = if can_go_on {
-            Error::Lost { command, n_deaths, reason }
-        } else {
-            Error::NotPutBack { command, reason }
+        let lost = match self.deaths.count(Instant::now()) {
+            _ if self.launch.snapshot == SnapshotKind::None => {
+                Error::NotPutBack { command, reason }
+            }
+            Some(over) => Error::Lost { command, n_deaths: MAX_DEATHS, over, reason },
+            None => return true,
         };
         let lost = lost.to_string();
         for slot in self.slots.iter_mut().filter(|slot| slot.is_used) {
@@ -396,6 +407,7 @@ impl WorkerLink {
             return Err("it has other environments than before".to_owned());
         }
         self.process = Some(process);
+        self.made.fill(false);
         let begun = |slot: &WorkerSlot| slot.is_used && slot.is_begun && slot.failure.is_none();
         let places: Vec<usize> =
             (0..self.slots.len()).filter(|place| begun(&self.slots[*place])).collect();
