@@ -2,7 +2,8 @@
 //!
 //! A worker that ends, hangs or sends what cannot be read is killed and started again; its environments are put back by what
 //! their [`WorkerSlot`]s remember, and what was under way is asked once more. An environment whose step raises an exception is put
-//! back once, too; if it raises again it has failed.
+//! back once, too; if it raises again, or shows something else than before, it has failed. One that cannot be put back has failed
+//! with its first exception.
 
 use std::time::{Duration, Instant};
 
@@ -215,12 +216,13 @@ impl WorkerLink {
 
     /// Hands the rows of an answer to their slots, and asks once more for the steps that failed for the first time.
     fn take_in(&mut self, sent: &[usize]) {
+        let can_be_put_back = self.launch.snapshot != SnapshotKind::None;
         let mut rows = std::mem::take(&mut self.rows);
         for (&place, row) in sent.iter().zip(&mut rows) {
             let slot = &mut self.slots[place];
             if !row.has_failed {
                 slot.stepped(row);
-            } else if slot.progress == StepProgress::SentAgain {
+            } else if slot.progress == StepProgress::SentAgain || !can_be_put_back {
                 slot.fail(failed);
             } else {
                 self.sent.push(place);
@@ -243,16 +245,28 @@ impl WorkerLink {
         }
         let again = self.sent.clone();
         let asked = self.ask_to_begin(&again).and_then(|()| {
-            let bad: Vec<bool> = self.rows.iter().map(|row| row.has_failed).collect();
-            for (place, _) in again.iter().zip(bad).filter(|(_, bad)| *bad) {
-                self.slots[*place].fail(failed);
-                self.sent.retain(|sent| sent != place);
-            }
+            self.look_at_put_back(&again);
             self.ask_to_step()
         });
         if let Err(error) = asked {
             self.replace(&error);
         }
+    }
+
+    /// Sees whether environments that were put back are where they were; no step is asked of those that are not.
+    fn look_at_put_back(&mut self, places: &[usize]) {
+        for (row, &place) in self.rows.iter().zip(places) {
+            let slot = &mut self.slots[place];
+            let is_other =
+                !slot.row.observation.is_empty() && !same(&row.observation, &slot.row.observation);
+            if row.has_failed {
+                slot.fail(failed);
+            } else if is_other {
+                slot.fail(|slot| not_the_same(slot.seed));
+            }
+        }
+        let slots = &self.slots;
+        self.sent.retain(|place| slots[*place].failure.is_none());
     }
 
     /// Takes a pickle of an environment, from which it goes on if it has to be put back.
@@ -413,18 +427,7 @@ impl WorkerLink {
             (0..self.slots.len()).filter(|place| begun(&self.slots[*place])).collect();
         let again = if places.is_empty() { Ok(()) } else { self.ask_to_begin(&places) };
         let again = again.and_then(|()| {
-            for (row, &place) in self.rows.iter().zip(&places) {
-                let slot = &mut self.slots[place];
-                let is_other = !slot.row.observation.is_empty()
-                    && !same(&row.observation, &slot.row.observation);
-                if row.has_failed {
-                    slot.fail(failed);
-                } else if is_other {
-                    slot.fail(|slot| not_the_same(slot.seed));
-                }
-            }
-            let slots = &self.slots;
-            self.sent.retain(|place| slots[*place].failure.is_none());
+            self.look_at_put_back(&places);
             self.ask_to_step()
         });
         again.map_err(|error| match self.process.take() {
