@@ -23,6 +23,8 @@ use crate::slot::{StepProgress, WorkerSlot, reset_seed};
 
 /// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
 pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
+/// The most bytes of actions that an environment is put back by.
+const MAX_ACTION_BYTES: usize = if cfg!(test) { 8 } else { MAX_STATE_BYTES };
 
 /// A worker and its environments.
 #[derive(Debug)]
@@ -221,7 +223,7 @@ impl WorkerLink {
         for (&place, row) in sent.iter().zip(&mut rows) {
             let slot = &mut self.slots[place];
             if !row.has_failed {
-                slot.stepped(row);
+                slot.stepped(row, can_be_put_back);
             } else if slot.progress == StepProgress::SentAgain || !can_be_put_back {
                 slot.fail(failed);
             } else {
@@ -267,6 +269,19 @@ impl WorkerLink {
         }
         let slots = &self.slots;
         self.sent.retain(|place| slots[*place].failure.is_none());
+    }
+
+    /// Sees to it that an environment's actions fit a snapshot: they begin anew at a pickle, or the episode is too long.
+    pub(crate) fn bound_actions(&mut self, place: usize) {
+        let slot = &mut self.slots[place];
+        if slot.actions.len() <= MAX_ACTION_BYTES {
+            return;
+        }
+        if self.launch.snapshot == SnapshotKind::Pickle {
+            self.pickle(place);
+        } else {
+            slot.fail(too_long);
+        }
     }
 
     /// Takes a pickle of an environment, from which it goes on if it has to be put back.
@@ -445,6 +460,17 @@ fn same(a: &[f32], b: &[f32]) -> bool {
 /// Says what is wrong with an environment that raises an exception.
 fn failed(slot: &WorkerSlot) -> String {
     format!("environment {} fails: {}", slot.seed.env_id, slot.exception)
+}
+
+/// Says that an episode has too many steps.
+fn too_long(slot: &WorkerSlot) -> String {
+    format!(
+        "environment {}: episode {} has {} steps, more than can be played again; end episodes by a time limit, or try \
+         world.snapshot = \"pickle\"",
+        slot.seed.env_id,
+        slot.seed.episode,
+        slot.n_steps()
+    )
 }
 
 /// Says that an environment that was put back is not where it was.
