@@ -136,7 +136,7 @@ def to_onnx(policy, path):
         from onnx import helper
     except ImportError as error:
         raise ImportError("the export needs the package onnx: pip install 'leadtime[export]'") from error
-    policy = load(policy) if isinstance(policy, str) else policy
+    policy = policy if hasattr(policy, "act") else load(policy)
     model = helper.make_model(graph_of(policy), opset_imports=[helper.make_opsetid("", OPSET)], producer_name="leadtime", ir_version=8)
     helper.set_model_props(model, {"heads": json.dumps(policy.heads), "observation": json.dumps(policy.observation)})
     onnx.checker.check_model(model)

@@ -38,6 +38,7 @@ HELLO, BEGIN, STEP, STEPPED, SNAPSHOT, SNAPSHOTTED, LOG, FAILED, ALIVE = range(1
 ITSELF = 0xFFFF
 MOST_TEXT = 8 << 10
 MOST_HEADS, MOST_CHOICES = 8, 64
+MOST_PICKLE = 192 << 10  # Bytes; crates/worker/src/link.rs reads no longer one.
 EVERYTHING = 2**64 - 1
 SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work.
 LINES_PER_SECOND = 10
@@ -585,7 +586,8 @@ class Worker:
         n = len(rows)
         try:
             seen = b"".join(rows)
-        except BufferError:
+        except TypeError:
+            # An environment may show every other number of its own array, which is no row of bytes.
             seen = b"".join(row.tobytes() for row in rows)
         if self.observe.watches:
             self.observe.look(self.np.frombuffer(seen, self.np.float32).reshape(n, -1))
@@ -601,6 +603,9 @@ class Worker:
         row, mask = self.rows[slot]
         try:
             pickled = pickle.dumps((self.envs[slot], self.np.array(row), mask), pickle.HIGHEST_PROTOCOL)
+            if len(pickled) > MOST_PICKLE:
+                raise Refused(f"its pickle has {len(pickled)} bytes, and at most {MOST_PICKLE} fit a snapshot; world.snapshot = \"replay\" "
+                              "keeps its actions instead")
         except FAILURES as error:
             self.tell(slot, error)
             pickled = b""

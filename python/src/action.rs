@@ -62,15 +62,24 @@ fn is_one_of(choice: i64, n_choices: usize) -> bool {
     usize::try_from(choice).is_ok_and(|choice| choice < n_choices)
 }
 
-/// Reads the actions of so many environments, head after head, from whole numbers. Shape `[n, n_heads]`.
+/// Reads the actions of so many environments, head after head, from an array of whole numbers in the order of its rows.
+/// Shape `[n, n_heads]`, or `[n]` where there is one head.
 ///
 /// # Errors
 ///
 /// `ValueError` unless there is one choice of each head for each environment.
-pub(crate) fn read_actions(given: &[i64], n: usize, heads: &[usize]) -> PyResult<Vec<u8>> {
+pub(crate) fn read_actions(
+    given: &[i64],
+    shape: &[usize],
+    n: usize,
+    heads: &[usize],
+) -> PyResult<Vec<u8>> {
     let n_heads = heads.len();
-    if given.len() != n * n_heads {
-        let text = format!("{} choices; allowed: {n} actions of {n_heads}", given.len());
+    // As many numbers in another shape, such as one row per head, would be read in the wrong order.
+    let fits = shape == [n, n_heads] || (n_heads == 1 && shape == [n]);
+    if !fits {
+        let or_flat = if n_heads == 1 { format!(" or [{n}]") } else { String::new() };
+        let text = format!("actions of shape {shape:?}; allowed: [{n}, {n_heads}]{or_flat}");
         return Err(PyValueError::new_err(text));
     }
     for action in given.chunks_exact(n_heads) {

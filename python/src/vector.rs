@@ -121,7 +121,7 @@ impl Worlds {
 }
 
 impl Worlds {
-    /// Reads the actions of all environments. Shape `[n, n_heads]`.
+    /// Reads the actions of all environments. Shape `[n, n_heads]`, or `[n]` where there is one head.
     fn actions(&self, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
         if let Ok(array) = given.cast::<PyArrayDyn<i64>>() {
             // What Gymnasium's spaces draw.
@@ -129,7 +129,7 @@ impl Worlds {
             if array.is_c_contiguous()
                 && let Ok(numbers) = array.as_slice()
             {
-                return read_actions(numbers, self.n, &self.heads);
+                return read_actions(numbers, array.shape(), self.n, &self.heads);
             }
         }
         let py = given.py();
@@ -138,7 +138,7 @@ impl Worlds {
         keywords.set_item("casting", "same_kind")?;
         keywords.set_item("order", "C")?;
         let array = array.call_method("astype", ("int64",), Some(&keywords))?;
-        let numbers = array.cast::<PyArrayDyn<i64>>()?.to_vec()?;
-        read_actions(&numbers, self.n, &self.heads)
+        let array = array.cast::<PyArrayDyn<i64>>()?;
+        read_actions(&array.to_vec()?, array.shape(), self.n, &self.heads)
     }
 }

@@ -7,6 +7,7 @@ a policy with attention are the program's, as crates/policy/tests/recorded_atten
 import json
 import os
 import tempfile
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -24,6 +25,11 @@ def exported(policy):
         path = os.path.join(place, "policy.onnx")
         to_onnx(policy, path)
         return onnxruntime.InferenceSession(path)
+
+
+# A path may be of either kind.
+for given in ("tests/data/attention.safetensors", Path("tests/data/attention.safetensors")):
+    assert exported(given).get_outputs()[0].name == "logits"
 
 
 for name in POLICIES:

@@ -199,11 +199,19 @@ class Gym(unittest.TestCase):
             envs.step(given)
             seen.append(envs.step(np.zeros_like(actions))[0])
         self.assertTrue(all((other == seen[0]).all() for other in seen) and (seen[0][0] != seen[0][2]).any())
-        for given, error in [(actions[:2], "8 choices; allowed: 3 actions of 4"), (actions + 9, "allowed: one of each of")]:
+        # As many numbers in another order are no actions.
+        for given, error in [(actions[:2], r"shape \[2, 4\]; allowed: \[3, 4\]$"), (actions.T, r"shape \[4, 3\]; allowed: \[3, 4\]$"),
+                             (actions.T.tolist(), r"shape \[4, 3\]"), (actions.ravel(), r"shape \[12\]"), (actions + 9, "allowed: one of each of")]:
             with self.assertRaisesRegex(ValueError, error):
                 envs.step(given)
         with self.assertRaisesRegex(TypeError, "float64"):
             envs.step(actions * 1.0)
+        poles = gymnasium.make_vec("leadtime/CartPole-v0", num_envs=2, vectorization_mode="vector_entry_point")
+        for given in ([0, 1], [[0], [1]]):
+            poles.reset(seed=3)
+            poles.step(given)
+        with self.assertRaisesRegex(ValueError, r"shape \[1, 2\]; allowed: \[2, 1\] or \[2\]"):
+            poles.step([[0, 1]])
 
     def test_nothing_is_stepped_or_drawn_before_an_episode_has_begun(self):
         env = gymnasium.make("leadtime/Lander-v0", render_mode="ansi")

@@ -444,6 +444,19 @@ def test_environments_that_fail_alike_print_one_traceback():
     assert printed.getvalue().count("Traceback") == 1, printed.getvalue()
 
 
+def test_an_observation_may_be_a_part_of_a_larger_array():
+    class Strided(Toy):
+        def look(self):
+            return np.array([[self.n, 9], [self.first, 9]], np.float32)[::-1, 0]
+
+    pair = Pair(lambda index: Strided(length=2))
+    (first, *_), _ = pair.begin(seed=1)
+    (row, _, end, _, _), failures = pair.step([0])
+    assert row.tolist() == [first[0], 1] and end == worker.NONE and not failures, (row, failures)
+    (row, _, end, _, rest), failures = pair.step([0], seed=1)
+    assert np.array_equal(row, first) and rest[:2].tolist() == [first[0], 2] and not failures, (row, rest, failures)
+
+
 def test_what_is_float64_or_leaves_its_box_is_told_once():
     class Wide(Toy):
         def look(self):
@@ -470,6 +483,16 @@ def test_an_environment_is_put_back_by_its_actions_and_by_a_pickle():
     assert not failures and again.tobytes() == further.tobytes()
     (*_,), failures = pair.begin(slot=2, seed=3, actions=bytes([1] * 60))
     assert "ends after" in failures[0], failures
+
+
+def test_a_pickle_that_fits_no_snapshot_is_refused_by_its_size():
+    pair = Pair(lambda index: Toy())
+    pair.begin()
+    for weight, fits in ((100_000, True), (300_000, False)):
+        pair.worker.envs[0].weight = b"x" * weight
+        pickled, failures = pair.ask(worker.SNAPSHOT, struct.pack("<H", 0))
+        assert (len(pickled) > weight, failures == []) == (fits, fits), (weight, len(pickled), failures)
+    assert re.fullmatch(r"its pickle has 3\d{5} bytes, and at most 196608 fit a snapshot; .*\"replay\".*", failures[0]), failures
 
 
 def run(directory, *arguments, code=0):

@@ -103,6 +103,8 @@ fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     }
     let weight = ["`world.near_weight` is inf", "allowed: a finite number"];
     refused(&place, &["check --set world.near_weight=inf"], &weight);
+    let elsewhere = ["--worker is for worlds in Python (`domain = \"python\"`); `lander` is none"];
+    refused(&place, &["check -c lander --worker true"], &elsewhere);
     refused(&place, &["check -c nowhere.toml"], &["nowhere.toml", "cartpole"]);
     refused(&place, &["lurner"], &["learner"]);
     refused(&place, &["actor"], &["--connect"]);

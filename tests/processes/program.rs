@@ -80,8 +80,11 @@ fn a_crate_for_a_world_of_ones_own_is_made_and_can_be_resolved() {
     assert!(told.starts_with("my-world ") && told.contains("\nleadtime-sims "), "{told}");
     let says = |args: &str, parts: &[&str]| place.finish(&[args]).with_code(2).saying(parts);
     says("new my-world", &["my-world is not an empty directory"]);
-    says("new leadtime-sims", &["`name` is leadtime-sims; allowed: "]);
-    says("new Grid", &["`name` is Grid; allowed: a lower-case letter"]);
+    let allowed = "is not a crate's name; allowed: a lower-case letter";
+    let place_of = |name: &str| format!("the directory (--name gives another): `{name}` {allowed}");
+    says("new leadtime-sims", &[&place_of("leadtime-sims")]);
+    says("new Grid", &[&place_of("Grid")]);
+    says("new grid --name Bad_Name", &[&format!("--name: `Bad_Name` {allowed}")]);
     says("new grid --leadtime .", &["--leadtime .: no source of Leadtime"]);
     let empty = place.path().join("empty-one");
     fs::create_dir(&empty).unwrap();

@@ -111,6 +111,10 @@ fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
         finished.saying(&[told]);
         assert_eq!(found, expected, "{mode}");
     }
+    // A second environment that is made in more than `step_timeout` is waited for, as the first one is.
+    let (slow, finished) = train(&place, "slow", "makes-slowly", "");
+    assert!(!finished.stderr.contains("is started again"), "{}", finished.stderr);
+    assert_eq!(slow, expected);
     let (pickled, _) = train(&place, "pickled", "", "snapshot = \"pickle\"");
     assert_eq!(pickled, expected, "a pickle puts an environment where its actions do");
 }
@@ -161,12 +165,28 @@ fn an_environment_that_keeps_failing_ends_its_actor_with_a_sentence() {
     let place = Place::new();
     let words = "environment 0 fails: IndexError: list index out of range (my_envs.py:40)";
     actor_of(&place, "raises", "raises", "--trust-worker").with_code(1).saying(&[words]);
+    let moves = ["environment 0 was put back in episode", "shows something else than before"];
+    actor_of(&place, "moves", "raises-and-moves", "--trust-worker").with_code(1).saying(&moves);
     let nan = "observation[3] is nan after action [";
     actor_of(&place, "nan", "nan", "--trust-worker").with_code(1).saying(&[nan, "step "]);
     let huge = "the reward is 2e9 after action [";
     actor_of(&place, "huge", "huge-reward", "--trust-worker").with_code(1).saying(&[huge]);
     let exits = ["died 3 times within a minute", "its last words: out of fuel"];
     actor_of(&place, "exits", "exits", "--trust-worker").with_code(1).saying(&exits);
+}
+
+#[test]
+fn an_environment_that_cannot_be_put_back_fails_with_its_first_exception() {
+    let (place, more) = (Place::new(), format!("{SPEC}\nsnapshot = \"none\""));
+    let flag = place.file("raises.flag");
+    let file = config(&place, "none", &format!("raises {flag}"), &more);
+    let at = place.endpoint("none");
+    let asynchronous = "learner --name none --set learner.mode=async --listen";
+    let learner = place.start(&[asynchronous, &at, "-c", &file]);
+    wait_for_words(&learner, "run opened");
+    let actor = place.finish(&["actor --trust-worker --connect", &at]).with_code(1);
+    let actor = actor.saying(&["environment 0 fails: IndexError: list index out of range"]);
+    assert!(!actor.stderr.contains("is taken again"), "{}", actor.stderr);
 }
 
 #[test]

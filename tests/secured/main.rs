@@ -223,6 +223,10 @@ fn what_is_wrong_with_a_certificate_is_one_sentence() {
     actor("l1", "is for role learner");
 
     refused("-q certs issue pki actor a1", "pki/a1.pem exists already");
+    refused("-q certs issue pki robot:alive", "`alive` is not a name for a robot");
+    for command in ["issue nowhere actor:a1", "renew nowhere", "acl nowhere"] {
+        refused(&format!("-q certs {command}"), "`leadtime certs init nowhere`");
+    }
     refused("-q certs init pki", "pki holds an authority already");
     refused("-q certs show pki/a1.key", "no certificate");
     refused("-q certs issue pki actor a4 --host a/b", "neither a host's name nor an address");

@@ -122,23 +122,27 @@ def main():
                     rewards.append(0.0)
                     ends.append(3)
                     continue
+                if bad == "makes-slowly" and slot == 1 and slot not in envs:
+                    time.sleep(1.5)
                 env = envs[slot] = pickle.loads(base) if base else CartPole()
                 observation = getattr(env, "state", [0.0] * 4) if base else env.reset(seed)
                 for action in actions:
                     observation = env.step(action)[0]
+                if bad == "is-elsewhere":
+                    observation = env.state = [noise.random() for _ in range(4)]
                 reward, end = 0.0, 0
             else:
                 slot, seed, action = struct.unpack_from("<HIB", body, at)
                 at += 7
                 env = envs[slot]
-                if bad == "raises" and n_frames >= AFTER and slot == 0 or bad == "raises-at-once":
+                if bad in ("raises", "raises-and-moves") and n_frames >= AFTER and slot == 0 or bad == "raises-at-once":
                     failed(out, slot, "IndexError: list index out of range (my_envs.py:40)")
                     rows += [0.0] * 4
                     rewards.append(0.0)
                     ends.append(3)
                     # A pole that has fallen and goes on: it must be put back.
                     env.state = [9.0] * 4
-                    bad = bad if not FILE else ""
+                    bad = "is-elsewhere" if bad == "raises-and-moves" else bad if not FILE else ""
                     continue
                 observation, reward, fallen, late = env.step(action)
                 end = 1 if fallen else 2 if late else 0

@@ -27,6 +27,8 @@ const MAX_LIFETIME: Duration = Duration::from_hours(24 * 36_500);
 /// A certificate begins so long before it is made: the clocks of two machines differ.
 const CLOCK_SKEW: Duration = Duration::from_mins(5);
 
+/// In the keys of a notifier it stands beside the names of clients, and can be none of them.
+const NO_ROBOT: &str = "alive";
 /// What a damaged file of serial numbers holds, and what helps.
 const NO_SERIAL: &str = "no serial number: write the highest number of its certificates into it \
                          (`leadtime certs show`)";
@@ -101,10 +103,11 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::File`] if it is not there, [`Error::OpenKey`], [`Error::Content`], [`Error::AuthorityEnded`], or
-    /// [`Error::Busy`] if another process has it.
+    /// [`Error::NoAuthority`] if it is not there, [`Error::File`], [`Error::OpenKey`], [`Error::Content`],
+    /// [`Error::AuthorityEnded`], or [`Error::Busy`] if another process has it.
     pub fn open(directory: &Path, now: Timestamp) -> Result<Self> {
         let [certificate, key, serial] = paths(directory);
+        check_is_there(directory, &certificate)?;
         let text = |path: &Path| {
             let no_text = |_odd| "bytes that are no text".to_owned();
             String::from_utf8(files::read(path)?).map_err(no_text).map_err(content(path))
@@ -156,7 +159,7 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// Those of [`Authority::issue`], and [`Error::Twice`].
+    /// Those of [`Authority::issue`], [`Error::Twice`], and [`Error::RobotName`].
     pub fn issue_all(
         &mut self,
         requests: &[IssueRequest],
@@ -164,7 +167,10 @@ impl Authority {
         now: Timestamp,
     ) -> Result<Vec<Issued>> {
         let mut names = BTreeSet::new();
-        for IssueRequest { name, .. } in requests {
+        for IssueRequest { role, name, .. } in requests {
+            if *role == Role::Robot && name.as_str() == NO_ROBOT {
+                return Err(Error::RobotName(name.to_string()));
+            }
             let [certificate, key] = self.files(name);
             if files::holds_something(&certificate) {
                 return Err(Error::Taken(certificate));
@@ -255,9 +261,11 @@ impl Authority {
     ///
     /// # Errors
     ///
-    /// [`Error::File`] or [`Error::Content`] if the directory or the file of its authority cannot be read.
+    /// [`Error::NoAuthority`], or [`Error::File`] or [`Error::Content`] if the directory or the file of its authority cannot be
+    /// read.
     pub fn list(directory: &Path) -> Result<Listing> {
         let [authority, ..] = paths(directory);
+        check_is_there(directory, &authority)?;
         let signers = Signers::read(&authority)?;
         let entries = fs::read_dir(directory).map_err(failed("read", directory))?;
         let mut listing = Listing::default();
@@ -353,6 +361,16 @@ fn look_at(
 
 fn paths(directory: &Path) -> [PathBuf; 3] {
     ["ca.pem", "ca.key", "serial"].map(|name| directory.join(name))
+}
+
+/// Refuses a directory without an authority.
+fn check_is_there(directory: &Path, certificate: &Path) -> Result<()> {
+    match fs::metadata(certificate) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            Err(Error::NoAuthority(directory.to_owned()))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Refuses a key without its certificate where both are about to be made: it may still be somebody's.

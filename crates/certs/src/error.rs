@@ -26,6 +26,9 @@ pub enum Error {
     /// The directory holds an authority already.
     #[error("{} holds an authority already: issue from it, or take another directory", .0.display())]
     AuthorityExists(PathBuf),
+    /// The directory holds no authority, or is not there.
+    #[error("there is no authority in {}: make one with `leadtime certs init {}`", .0.display(), .0.display())]
+    NoAuthority(PathBuf),
     /// Another process is issuing.
     #[error("another `leadtime certs` is at work in {}: try again when it is done", .0.display())]
     Busy(PathBuf),
@@ -61,6 +64,9 @@ pub enum Error {
         "`{0}` is not a name for a certificate: use 1 to 48 of a-z, 0-9 and `-`, starting with a letter or digit, but not `ca`"
     )]
     Name(String),
+    /// Below the keys of a notifier this word stands for something else than a client.
+    #[error("`{0}` is not a name for a robot: a notifier's keys have that word for themselves")]
+    RobotName(String),
     /// This text is not a host.
     #[error("`{0}` is neither a host's name nor an address")]
     Host(String),

@@ -146,11 +146,11 @@ fn several_are_issued_together_or_not_at_all() {
         texts.iter().map(|text| text.parse().unwrap()).collect()
     };
     // The third one cannot be made.
-    for third in ["actor:a9", "learner:l1@a/b", "observer:r1"] {
+    for third in ["actor:a9", "learner:l1@a/b", "observer:r1", "robot:alive"] {
         let wanted = requests(&["router:r1@gate", "actor:a1", third]);
         let error = authority.issue_all(&wanted, DAY, now()).unwrap_err();
-        let expected = matches!(error, Error::Taken(_) | Error::Host(_) | Error::Twice(_));
-        assert!(expected, "{third}: {error}");
+        let of_name = matches!(error, Error::Taken(_) | Error::Twice(_) | Error::RobotName(_));
+        assert!(of_name || matches!(error, Error::Host(_)), "{third}: {error}");
         assert_eq!(contents(dir.path()), before, "{third}");
     }
     let wanted = requests(&["router:r1@gate,10.0.0.1", "actor:a1", "observer:o1"]);
@@ -171,6 +171,7 @@ fn several_are_issued_together_or_not_at_all() {
     }
     authority.withdraw(&wanted);
     assert_eq!(contents(dir.path()), before);
+    authority.issue_all(&requests(&["actor:alive"]), DAY, now()).expect("no client of a notifier");
 }
 
 #[test]
@@ -333,6 +334,19 @@ fn a_damaged_file_of_an_authority_is_named_with_what_helps() {
         error.to_string().ends_with("ca.key") && cause == "it is not a file",
         "{error}: {cause}"
     );
+}
+
+#[test]
+fn a_directory_without_an_authority_is_told_with_what_makes_one() {
+    let dir = tempfile::tempdir().unwrap();
+    for directory in [dir.path().to_owned(), dir.path().join("nowhere")] {
+        let place = directory.display();
+        let expected = format!(
+            "there is no authority in {place}: make one with `leadtime certs init {place}`"
+        );
+        assert_eq!(Authority::open(&directory, now()).unwrap_err().to_string(), expected);
+        assert_eq!(Authority::list(&directory).unwrap_err().to_string(), expected);
+    }
 }
 
 #[test]

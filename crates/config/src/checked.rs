@@ -15,6 +15,7 @@ use leadtime_proto::phrase::{counted, nearest};
 use leadtime_proto::text::quoted;
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
 use leadtime_sims::{Description, Environment, Registry, notifier};
+use leadtime_worker::DOMAIN;
 use toml::Table;
 use toml::de::{DeTable, DeValue};
 
@@ -203,6 +204,7 @@ impl Config {
         let written: WrittenConfig = layers.read(root)?;
         let domain = DomainName::new(&written.domain);
         let domain = domain.map_err(|error| ConfigError::of(error).at("`domain`"))?;
+        check_worker(&layers, domain.as_str())?;
         let read = |sections| {
             let task = sections::read(domain.as_str(), &layers, sections)?;
             sections::complete(task, registry)
@@ -291,6 +293,17 @@ fn same_domain(layers: &[Layer]) -> Result<(), ConfigError> {
             .map_err(|error| error.at(&layer.place))?;
     }
     Ok(())
+}
+
+/// Refuses a worker's command for a world that no worker steps, before the key that it stands for is found to be unknown there.
+fn check_worker(layers: &Layers<'_>, domain: &str) -> Result<(), ConfigError> {
+    const OPTION: &str = "--worker";
+    if domain == DOMAIN || !layers.are_changed_by(OPTION) {
+        return Ok(());
+    }
+    let text =
+        format!("{OPTION} is for worlds in Python (`domain = \"{DOMAIN}\"`); `{domain}` is none");
+    Err(ConfigError(text))
 }
 
 /// Refuses an unknown top-level key, and finds the section, or the section's key, that was meant.

@@ -141,6 +141,12 @@ impl<'a> Layers<'a> {
         Ok(merged)
     }
 
+    /// Returns whether one of the layers is a change that this option of the command line gave.
+    pub(crate) fn are_changed_by(&self, option: &str) -> bool {
+        let mut changes = self.layers.iter().filter_map(|layer| layer.change.as_ref());
+        changes.any(|change| change.option == option)
+    }
+
     /// Writes an option's number as the layers below do: `1` where they hold a fraction, `1e6` where a whole number.
     fn fitted(&self, change: &Override) -> Option<Override> {
         let (first, rest) = change.path.split_first()?;

@@ -43,7 +43,8 @@ impl EnvSlot {
         slot
     }
 
-    /// Continues from a snapshot; the environment's future is the same, bit for bit.
+    /// Continues from a snapshot; the environment's future is the same, bit for bit, or it begins an episode if it is one that
+    /// cannot be restored.
     ///
     /// # Errors
     ///
@@ -61,10 +62,13 @@ impl EnvSlot {
         }
         let seed = EpisodeSeed { run_seed, env_id, episode: snapshot.episode };
         let mut slot = Self::idle(env, recurrent_dim, seed);
-        slot.episode_return = snapshot.episode_return;
-        slot.n_steps = snapshot.length;
-        slot.recurrent = snapshot.recurrent;
         slot.env.restore(&snapshot.env, &mut slot.observation)?;
+        // One that cannot go on where it was has begun an episode, to which nothing of the other one belongs.
+        if slot.env.is_restorable() {
+            slot.episode_return = snapshot.episode_return;
+            slot.n_steps = snapshot.length;
+            slot.recurrent = snapshot.recurrent;
+        }
         Ok(slot)
     }
 
@@ -173,5 +177,71 @@ impl EnvSlot {
         self.episode_return += f64::from(outcome.reward);
         self.n_steps += 1;
         outcome
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::{ActionSpec, EnvSpec};
+
+    use super::*;
+
+    /// Pays 1 for every step, and may begin anew where it should go on.
+    struct Paying {
+        spec: EnvSpec,
+        goes_on: bool,
+    }
+
+    impl Environment for Paying {
+        fn spec(&self) -> &EnvSpec {
+            &self.spec
+        }
+
+        fn reset(&mut self, _seed: EpisodeSeed, observation: &mut [f32]) {
+            observation.fill(0.0);
+        }
+
+        fn step(&mut self, _action: &[u8], observation: &mut [f32]) -> StepOutcome {
+            observation.fill(1.0);
+            StepOutcome { reward: 1.0, end: None }
+        }
+
+        fn metrics(&self, _out: &mut [f32]) {}
+
+        fn is_restorable(&self) -> bool {
+            self.goes_on
+        }
+
+        fn write_state(&self, _out: &mut Vec<u8>) {}
+
+        fn read_state(
+            &mut self,
+            _state: &[u8],
+            observation: &mut [f32],
+        ) -> Result<(), SnapshotError> {
+            observation.fill(if self.goes_on { 1.0 } else { 0.0 });
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_begins_an_episode_when_it_is_restored_has_nothing_of_the_one_before() {
+        for (goes_on, episode_return, n_steps, memory) in
+            [(true, 1.0, 1, 0.5), (false, 0.0, 0, 0.0)]
+        {
+            let actions = ActionSpec::discrete("action", 2);
+            let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+            let env = || Box::new(Paying { spec: spec.clone(), goes_on });
+            let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(2), episode: 3 };
+            let mut slot = EnvSlot::new(env(), 1, seed);
+            slot.step(&[0]);
+            slot.memory().fill(0.5);
+            let mut bytes = Vec::new();
+            slot.snapshot(&mut bytes);
+            let slot = EnvSlot::restored(env(), 1, seed.run_seed, seed.env_id, &bytes).unwrap();
+            assert_eq!(slot.episode_return(), episode_return);
+            assert_eq!((slot.n_steps(), slot.recurrent()), (n_steps, &[memory][..]));
+            assert_eq!(slot.seed(), seed);
+        }
     }
 }

@@ -65,7 +65,7 @@ pub struct LearnerSettings {
     pub value_coef: f64,
     /// Largest global gradient norm; longer gradients are shortened to it. Default 0.5.
     pub max_grad_norm: f64,
-    /// Ends the epochs of an update early once an epoch's mean approximate KL exceeds it. Default: never.
+    /// Ends the epochs of an update early once the approximate KL, a mean over an epoch's minibatches, exceeds it. Default: never.
     pub target_kl: Option<f64>,
     /// `bootstrap` (default) or `cleanrl`.
     pub truncation: Truncation,

@@ -55,13 +55,14 @@ pub struct UpdateReport {
     pub value_loss: f64,
     /// Mean over all minibatches, in nats.
     pub entropy: f64,
-    /// Mean of -log r over the last epoch.
+    /// Mean of -log r, over the minibatches of the last epoch.
     pub old_approx_kl: f64,
-    /// Mean of (r - 1) - log r over the last epoch.
+    /// Mean of (r - 1) - log r, over the minibatches of the last epoch.
     pub approx_kl: f64,
-    /// Share of samples whose ratio left the clip range, over all minibatches.
+    /// Share of a minibatch's samples whose ratio left the clip range: mean over all minibatches, of whatever size.
     pub clip_fraction: f64,
-    /// The same by staleness in versions; empty unless the schedule is asynchronous, where rollouts of an update differ in it.
+    /// Share of all samples whose ratio left it, by staleness in versions; empty unless the schedule is asynchronous, where
+    /// rollouts of an update differ in it.
     pub clip_by_staleness: BTreeMap<u64, f64>,
     /// Mean length of the gradient before clipping.
     pub gradient_norm: f64,

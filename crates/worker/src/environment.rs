@@ -136,22 +136,16 @@ impl Environment for PythonEnvironment {
             return over;
         }
         let row = &slot.row;
+        let outcome = StepOutcome { reward: row.reward, end: row.end };
         self.mask = row.mask;
         if row.end.is_some() {
             observation.copy_from_slice(&row.last_observation);
             self.metrics.copy_from_slice(&row.metrics);
         } else {
             observation.copy_from_slice(&row.observation);
-            if slot.actions.len() > MAX_STATE_BYTES {
-                let n_steps = slot.n_steps();
-                slot.failure = Some(format!(
-                    "environment {}: episode {} has {n_steps} steps, more than can be played again; end episodes by a time \
-                     limit, or try world.snapshot = \"pickle\"",
-                    slot.seed.env_id, slot.seed.episode
-                ));
-            }
+            link.bound_actions(index);
         }
-        StepOutcome { reward: slot.row.reward, end: slot.row.end }
+        outcome
     }
 
     fn metrics(&self, out: &mut [f32]) {
@@ -244,4 +238,54 @@ fn hash(observation: &[f32]) -> u64 {
     observation.iter().fold(0xcbf2_9ce4_8422_2325, |hash: u64, x| {
         (hash ^ u64::from(x.to_bits())).wrapping_mul(0x0000_0100_0000_01b3)
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use leadtime_proto::{EnvId, Head};
+
+    use super::*;
+    use crate::settings::{PythonSettings, SpecSetting, WorldSpec};
+
+    /// Plays an episode of twelve steps, of which eight can be kept; returns how many it has had, and the actions since.
+    fn play(snapshot: SnapshotKind) -> Result<(usize, Vec<u8>), String> {
+        let fake = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/worker/fake.py");
+        let heads = vec![Head { name: "action".to_owned(), n_choices: 2 }];
+        let world = WorldSpec { obs_dim: 4, heads, versions: BTreeMap::new() };
+        let spec = world.env_spec(&[]);
+        let settings = PythonSettings {
+            worker: format!("python3 '{fake}'"),
+            spec: SpecSetting::Known(world),
+            snapshot,
+            ..PythonSettings::default()
+        };
+        let workers = Workers::default();
+        workers.permit_configured();
+        let launch = workers.launch(&settings).map_err(|error| error.to_string());
+        let mut env = PythonEnvironment::new(workers, launch, snapshot, spec);
+        let mut observation = [0.0; 4];
+        env.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(3), episode: 0 }, &mut observation);
+        for step in 0..12 {
+            let outcome = env.step(&[step % 2], &mut observation);
+            if let Some(failure) = env.failure() {
+                return Err(failure);
+            }
+            assert_eq!(outcome.end, None, "a pole that is pushed to and fro stays up");
+        }
+        let place = env.place.as_ref().unwrap();
+        let link = place.link();
+        let slot = link.slot(place.index());
+        Ok((slot.n_steps(), slot.actions.clone()))
+    }
+
+    #[test]
+    fn a_long_episode_fails_only_where_it_would_be_played_again_as_a_whole() {
+        let refused = play(SnapshotKind::Replay).unwrap_err();
+        let told = "environment 3: episode 0 has 9 steps, more than can be played again";
+        assert!(refused.starts_with(told), "{refused}");
+        assert_eq!(play(SnapshotKind::Pickle), Ok((12, vec![1, 0, 1])));
+        assert_eq!(play(SnapshotKind::None), Ok((12, Vec::new())));
+    }
 }

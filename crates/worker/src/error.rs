@@ -43,12 +43,14 @@ pub enum Error {
         what: String,
     },
     /// It died again and again.
-    #[error("the worker `{command}` died {n_deaths} times within a minute: {reason}")]
+    #[error("the worker `{command}` died {n_deaths} times {over}: {reason}")]
     Lost {
         /// The command line of the worker.
         command: String,
         /// How often it died.
         n_deaths: usize,
+        /// Within which time, or without what in between.
+        over: &'static str,
         /// How it died the last time, and its last words.
         reason: String,
     },

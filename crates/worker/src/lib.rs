@@ -18,6 +18,7 @@
 //! [`protocol`]'s, and its other side is `python/leadtime/worker.py`.
 
 mod check;
+mod deaths;
 mod entry;
 mod environment;
 mod error;

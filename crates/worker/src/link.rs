@@ -2,15 +2,16 @@
 //!
 //! A worker that ends, hangs or sends what cannot be read is killed and started again; its environments are put back by what
 //! their [`WorkerSlot`]s remember, and what was under way is asked once more. An environment whose step raises an exception is put
-//! back once, too; if it raises again it has failed.
+//! back once, too; if it raises again, or shows something else than before, it has failed. One that cannot be put back has failed
+//! with its first exception.
 
-use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use leadtime_proto::limits::MAX_SNAPSHOT_BYTES;
 use leadtime_sims::EpisodeSeed;
 use tracing::warn;
 
+use crate::deaths::{MAX_DEATHS, WorkerDeaths};
 use crate::error::Error;
 use crate::launch::WorkerLaunch;
 use crate::process::{LineLimit, NotBegun, WorkerProcess};
@@ -22,10 +23,8 @@ use crate::slot::{StepProgress, WorkerSlot, reset_seed};
 
 /// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
 pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
-/// The number of deaths within [`DEATH_WINDOW`] after which a worker is given up.
-const MAX_DEATHS: usize = 3;
-/// Deaths are counted over this time.
-const DEATH_WINDOW: Duration = Duration::from_mins(1);
+/// The most bytes of actions that an environment is put back by.
+const MAX_ACTION_BYTES: usize = if cfg!(test) { 8 } else { MAX_STATE_BYTES };
 
 /// A worker and its environments.
 #[derive(Debug)]
@@ -35,11 +34,13 @@ pub(crate) struct WorkerLink {
     shape: FrameShape,
     process: Option<WorkerProcess>,
     slots: Vec<WorkerSlot>,
+    /// Whether the process has an environment at the place. Making one may take longer than a step.
+    made: Vec<bool>,
     /// Slots whose steps are announced, and not sent yet.
     announced: Vec<usize>,
     /// Slots whose steps are sent, and not answered yet.
     sent: Vec<usize>,
-    deaths: VecDeque<Instant>,
+    deaths: WorkerDeaths,
     /// Why there is no worker any more.
     lost: Option<String>,
     frame: FrameWriter,
@@ -71,12 +72,13 @@ impl WorkerLink {
         Ok(Self {
             hello,
             slots: (0..launch.batch).map(|_| WorkerSlot::default()).collect(),
+            made: vec![false; launch.batch],
             launch,
             shape,
             process: Some(process),
             announced: Vec::new(),
             sent: Vec::new(),
-            deaths: VecDeque::new(),
+            deaths: WorkerDeaths::default(),
             lost: None,
             frame: FrameWriter::default(),
             rows: Vec::new(),
@@ -200,8 +202,12 @@ impl WorkerLink {
                 return;
             }
             let sent = std::mem::take(&mut self.sent);
-            match self.read_rows(&sent, sent.len() as u32) {
-                Ok(()) => self.take_in(&sent),
+            let timeout = self.launch.step_timeout;
+            match self.read_rows(&sent, timeout, timeout.saturating_mul(sent.len() as u32)) {
+                Ok(()) => {
+                    self.deaths.stepped();
+                    self.take_in(&sent);
+                }
                 Err(error) => {
                     self.sent = sent;
                     self.replace(&error);
@@ -212,12 +218,13 @@ impl WorkerLink {
 
     /// Hands the rows of an answer to their slots, and asks once more for the steps that failed for the first time.
     fn take_in(&mut self, sent: &[usize]) {
+        let can_be_put_back = self.launch.snapshot != SnapshotKind::None;
         let mut rows = std::mem::take(&mut self.rows);
         for (&place, row) in sent.iter().zip(&mut rows) {
             let slot = &mut self.slots[place];
             if !row.has_failed {
-                slot.stepped(row);
-            } else if slot.progress == StepProgress::SentAgain {
+                slot.stepped(row, can_be_put_back);
+            } else if slot.progress == StepProgress::SentAgain || !can_be_put_back {
                 slot.fail(failed);
             } else {
                 self.sent.push(place);
@@ -240,15 +247,40 @@ impl WorkerLink {
         }
         let again = self.sent.clone();
         let asked = self.ask_to_begin(&again).and_then(|()| {
-            let bad: Vec<bool> = self.rows.iter().map(|row| row.has_failed).collect();
-            for (place, _) in again.iter().zip(bad).filter(|(_, bad)| *bad) {
-                self.slots[*place].fail(failed);
-                self.sent.retain(|sent| sent != place);
-            }
+            self.look_at_put_back(&again);
             self.ask_to_step()
         });
         if let Err(error) = asked {
             self.replace(&error);
+        }
+    }
+
+    /// Sees whether environments that were put back are where they were; no step is asked of those that are not.
+    fn look_at_put_back(&mut self, places: &[usize]) {
+        for (row, &place) in self.rows.iter().zip(places) {
+            let slot = &mut self.slots[place];
+            let is_other =
+                !slot.row.observation.is_empty() && !same(&row.observation, &slot.row.observation);
+            if row.has_failed {
+                slot.fail(failed);
+            } else if is_other {
+                slot.fail(|slot| not_the_same(slot.seed));
+            }
+        }
+        let slots = &self.slots;
+        self.sent.retain(|place| slots[*place].failure.is_none());
+    }
+
+    /// Sees to it that an environment's actions fit a snapshot: they begin anew at a pickle, or the episode is too long.
+    pub(crate) fn bound_actions(&mut self, place: usize) {
+        let slot = &mut self.slots[place];
+        if slot.actions.len() <= MAX_ACTION_BYTES {
+            return;
+        }
+        if self.launch.snapshot == SnapshotKind::Pickle {
+            self.pickle(place);
+        } else {
+            slot.fail(too_long);
         }
     }
 
@@ -298,7 +330,17 @@ impl WorkerLink {
         }
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
         process.send(self.frame.finish())?;
-        self.read_rows(places, n_steps as u32)
+        // One that the process has yet to make may take as long as its first one.
+        let (step, making) = (self.launch.step_timeout, self.launch.start_timeout());
+        let n_made = places.iter().filter(|place| self.made[**place]).count();
+        let n_new = (places.len() - n_made) as u32;
+        let timeout = if n_new > 0 { making } else { step };
+        let patience = step.saturating_mul(n_steps as u32);
+        self.read_rows(places, timeout, patience.saturating_add(making.saturating_mul(n_new)))?;
+        for (&place, row) in places.iter().zip(&self.rows) {
+            self.made[place] |= !row.has_failed;
+        }
+        Ok(())
     }
 
     fn ask_to_step(&mut self) -> Result<(), ProtocolError> {
@@ -331,11 +373,14 @@ impl WorkerLink {
         })
     }
 
-    /// Reads an answer about some slots, whose environments take so many steps for it.
-    fn read_rows(&mut self, places: &[usize], n_steps: u32) -> Result<(), ProtocolError> {
+    /// Reads an answer about some slots, which may take `patience` in all, and be silent for `timeout`.
+    fn read_rows(
+        &mut self,
+        places: &[usize],
+        timeout: Duration,
+        patience: Duration,
+    ) -> Result<(), ProtocolError> {
         let (shape, slots) = (self.shape, &mut self.slots);
-        let timeout = self.launch.step_timeout;
-        let patience = timeout.saturating_mul(n_steps.max(1));
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
         let (kind, most) = (FrameKind::Stepped, shape.max_stepped_bytes(places.len()));
         let body = process.answer(kind, most, timeout, patience, |slot, text| {
@@ -365,18 +410,13 @@ impl WorkerLink {
 
     /// Counts a death, and gives the worker up if there were too many.
     fn may_try_again(&mut self, how: &str) -> bool {
-        let now = Instant::now();
-        self.deaths.push_back(now);
-        self.deaths.retain(|death| now.saturating_duration_since(*death) < DEATH_WINDOW);
-        let (n_deaths, can_go_on) = (self.deaths.len(), self.launch.snapshot != SnapshotKind::None);
-        if can_go_on && n_deaths < MAX_DEATHS {
-            return true;
-        }
         let (command, reason) = (self.launch.command.clone(), how.to_owned());
-        let lost = if can_go_on {
-            Error::Lost { command, n_deaths, reason }
-        } else {
-            Error::NotPutBack { command, reason }
+        let lost = match self.deaths.count(Instant::now()) {
+            _ if self.launch.snapshot == SnapshotKind::None => {
+                Error::NotPutBack { command, reason }
+            }
+            Some(over) => Error::Lost { command, n_deaths: MAX_DEATHS, over, reason },
+            None => return true,
         };
         let lost = lost.to_string();
         for slot in self.slots.iter_mut().filter(|slot| slot.is_used) {
@@ -396,23 +436,13 @@ impl WorkerLink {
             return Err("it has other environments than before".to_owned());
         }
         self.process = Some(process);
+        self.made.fill(false);
         let begun = |slot: &WorkerSlot| slot.is_used && slot.is_begun && slot.failure.is_none();
         let places: Vec<usize> =
             (0..self.slots.len()).filter(|place| begun(&self.slots[*place])).collect();
         let again = if places.is_empty() { Ok(()) } else { self.ask_to_begin(&places) };
         let again = again.and_then(|()| {
-            for (row, &place) in self.rows.iter().zip(&places) {
-                let slot = &mut self.slots[place];
-                let is_other = !slot.row.observation.is_empty()
-                    && !same(&row.observation, &slot.row.observation);
-                if row.has_failed {
-                    slot.fail(failed);
-                } else if is_other {
-                    slot.fail(|slot| not_the_same(slot.seed));
-                }
-            }
-            let slots = &self.slots;
-            self.sent.retain(|place| slots[*place].failure.is_none());
+            self.look_at_put_back(&places);
             self.ask_to_step()
         });
         again.map_err(|error| match self.process.take() {
@@ -430,6 +460,17 @@ fn same(a: &[f32], b: &[f32]) -> bool {
 /// Says what is wrong with an environment that raises an exception.
 fn failed(slot: &WorkerSlot) -> String {
     format!("environment {} fails: {}", slot.seed.env_id, slot.exception)
+}
+
+/// Says that an episode has too many steps.
+fn too_long(slot: &WorkerSlot) -> String {
+    format!(
+        "environment {}: episode {} has {} steps, more than can be played again; end episodes by a time limit, or try \
+         world.snapshot = \"pickle\"",
+        slot.seed.env_id,
+        slot.seed.episode,
+        slot.n_steps()
+    )
 }
 
 /// Says that an environment that was put back is not where it was.

@@ -7,7 +7,7 @@
 //! | 3 step | us | n u16; each: slot u16, seed of the next episode u32, H choices u8 |
 //! | 4 stepped | worker | n u16; observations n x D f32, rewards n f32, ends n u8, masks n u64; then for each that ended: last observation D f32, metrics M f32 |
 //! | 5 snapshot | us | slot u16 |
-//! | 6 snapshotted | worker | bytes |
+//! | 6 snapshotted | worker | the pickle, at most 196,608 bytes; nothing where a *failed* frame came before |
 //! | 7 log | worker | level u8 (0 debug, 1 info, 2 warning, 3 error), text |
 //! | 8 failed | worker | slot u16 (or 65535: the worker itself), text of the exception |
 //! | 9 alive | worker | nothing: the environments take their time, one by one |
@@ -15,8 +15,7 @@
 //! *Begin* and *step* are answered by *stepped*, in the order of the slots. An end is 0 (none), 1 (terminated), 2 (truncated), or
 //! 3 (failed; a *failed* frame came before). Where an episode has ended, the worker has begun the next one with the seed that
 //! came with the step: the observation in its row is the first of that episode, the mask too. A snapshot in *begin* is the length
-//! u32 of a pickle, the pickle (0: the episode begins with the seed), and the actions since, H bytes each, to be taken again. A
-//! worker without a next seed (0xFFFFFFFF) begins no episode.
+//! u32 of a pickle, the pickle (0: the episode begins with the seed), and the actions since, H bytes each, to be taken again.
 //!
 //! Nothing that a worker sends is believed: lengths are bounded before anything is allocated, and numbers are checked.
 

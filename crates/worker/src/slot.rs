@@ -36,7 +36,7 @@ pub(crate) struct WorkerSlot {
     pub(crate) seed: EpisodeSeed,
     /// A pickle of the environment; empty where the episode's seed is where it goes on from.
     pub(crate) base: Vec<u8>,
-    /// Steps of the episode before the base.
+    /// Steps of the episode before the base; all of them where actions are not kept.
     pub(crate) n_before: u32,
     /// Actions since then. Shape `[n, H]`.
     pub(crate) actions: Vec<u8>,
@@ -74,16 +74,19 @@ impl WorkerSlot {
         self.n_before as usize + self.actions.len() / n_heads
     }
 
-    /// Notes what the step that was under way has shown; `row` is exchanged for the one before.
-    pub(crate) fn stepped(&mut self, row: &mut StepRow) {
+    /// Notes what the step that was under way has shown; `row` is exchanged for the one before. Its action is kept where it can be
+    /// taken again.
+    pub(crate) fn stepped(&mut self, row: &mut StepRow, keeps_action: bool) {
         std::mem::swap(&mut self.row, row);
         self.progress = StepProgress::Shown;
         self.failure = self.implausible();
         if self.row.end.is_some() {
             self.begin(self.next_seed());
             self.is_ahead = true;
-        } else {
+        } else if keeps_action {
             self.actions.extend_from_slice(&self.action);
+        } else {
+            self.n_before = self.n_before.saturating_add(1);
         }
     }
 
@@ -149,22 +152,22 @@ mod tests {
         let mut slot = slot();
         slot.actions = vec![0; 2 * 39];
         let mut row = StepRow { observation: vec![0.0, 1.0, 2.0, f32::NAN], ..StepRow::default() };
-        slot.stepped(&mut row);
+        slot.stepped(&mut row, true);
         let expected =
             "environment 17: observation[3] is nan after action [1, 0] in episode 12, step 40";
         assert_eq!(slot.failure.as_deref(), Some(expected));
         let mut row = StepRow { reward: -2e9, ..StepRow::default() };
-        slot.stepped(&mut row);
+        slot.stepped(&mut row, true);
         assert!(slot.failure.unwrap().contains("the reward is -2e9 after"));
     }
 
     #[test]
     fn an_episode_that_ends_is_followed_by_the_next_one() {
         let mut slot = slot();
-        slot.stepped(&mut StepRow::default());
+        slot.stepped(&mut StepRow::default(), true);
         assert_eq!((slot.n_steps(), slot.is_ahead), (1, false));
         let end = Some(End::Terminated);
-        slot.stepped(&mut StepRow { end, ..StepRow::default() });
+        slot.stepped(&mut StepRow { end, ..StepRow::default() }, true);
         assert_eq!((slot.n_steps(), slot.is_ahead, slot.seed.episode), (0, true, 13));
     }
 

@@ -18,8 +18,13 @@ pub enum NewCrateError {
     #[error("{} is not an empty directory", .0.display())]
     NotEmpty(PathBuf),
     /// The name cannot be that of a crate.
-    #[error(transparent)]
-    Name(#[from] SettingError),
+    #[error("{from}: `{}` is not a crate's name; allowed: {}", refused.given, refused.allowed)]
+    Name {
+        /// Whose name it is: the option that gave it, or the directory.
+        from: &'static str,
+        /// The name, and what is allowed.
+        refused: SettingError,
+    },
     /// Leadtime's source is not where it should be.
     #[error("--leadtime {}: no source of Leadtime", .0.display())]
     NoSource(PathBuf),
@@ -56,9 +61,13 @@ pub fn new_crate(
     // `.` has no name of its own.
     let place = directory.canonicalize().unwrap_or_else(|_not_there| directory.to_owned());
     let last = directory.file_name().or(place.file_name()).and_then(|name| name.to_str());
+    let from = if name.is_some() { "--name" } else { "the directory (--name gives another)" };
     let name = name.or(last).unwrap_or_default();
+    let made = |source: LeadtimeSource<'_>| {
+        template(name, source).map_err(|refused| NewCrateError::Name { from, refused })
+    };
     let Some(checkout) = checkout else {
-        return write(directory, &template(name, LeadtimeSource::Repository)?);
+        return write(directory, &made(LeadtimeSource::Repository)?);
     };
     let no_source = || NewCrateError::NoSource(checkout.to_owned());
     let source = checkout.canonicalize().map_err(|_unspecific| no_source())?;
@@ -67,7 +76,7 @@ pub fn new_crate(
     // A path that is not UTF-8 cannot stand in a manifest.
     let path = source.to_str().filter(|_| source.join("deploy/Cargo.toml").is_file());
     let path = path.ok_or_else(no_source)?;
-    write(directory, &template(name, LeadtimeSource::Checkout { path, manifest: &manifest })?)?;
+    write(directory, &made(LeadtimeSource::Checkout { path, manifest: &manifest })?)?;
     for file in SHARED {
         let path = directory.join(file);
         let copied = fs::copy(source.join(file), &path);

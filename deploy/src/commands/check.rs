@@ -29,8 +29,9 @@ use crate::threads;
 const SHORT_TRIP: Duration = Duration::from_millis(5);
 
 pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> {
-    let worker = args.worker.iter().map(|command| Override::new("world.worker", command.as_str()));
-    let source = args.source.changed(&worker.collect::<Vec<_>>());
+    let worker =
+        |command: &String| Override::new("world.worker", command.as_str()).given_by("--worker");
+    let source = args.source.changed(&args.worker.iter().map(worker).collect::<Vec<_>>());
     let config = source.load(tasks, None).blame(ExitCode::WrongInput)?;
     let (domain, n_updates, n_envs) =
         (&config.domain, config.learner.n_updates(), config.learner.n_envs);
