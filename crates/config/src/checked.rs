@@ -257,8 +257,8 @@ impl Config {
         })
     }
 
-    /// Refuses a change of the world that has no effect where policies are evaluated, because evaluations of this task have a
-    /// value of their own there; this is the configuration with the change.
+    /// Refuses a change of the world that has no effect on a trained policy, because where it is evaluated the task has a value
+    /// of its own; this is the configuration with the change.
     ///
     /// # Errors
     ///
@@ -268,6 +268,13 @@ impl Config {
         change: &Override,
         registry: &Registry,
     ) -> Result<(), ConfigError> {
+        if let Value::Table(inner) = &change.value {
+            return Override::of_table(inner).into_iter().try_for_each(|leaf| {
+                let path = [&change.path[..], &leaf.path].concat();
+                let leaf = Override { path, ..leaf.given_by(change.option) };
+                self.check_evaluated(&leaf, registry)
+            });
+        }
         let Some((section, path)) = change.path.split_first() else { return Ok(()) };
         let of_task = registry.evaluation_world(self.domain.as_str()).parse::<Table>();
         let written = self.table.get("evaluation").and_then(|section| section.get("world"));
@@ -278,7 +285,8 @@ impl Config {
         }
         let (option, key) = (change.option, quoted(&change.key()));
         Err(ConfigError(format!(
-            "{option}: `{key}` has no effect in an evaluation, which has a value of its own there: change `evaluation.{key}`"
+            "{option}: `{key}` has no effect on a policy that is trained already, for whom the task has a value of its own: \
+             change `evaluation.{key}`"
         )))
     }
 

@@ -562,6 +562,9 @@ fn a_change_of_the_world_that_evaluations_overrule_is_refused_with_the_key_that_
         assert_eq!(told("", free), "", "{free}");
     }
     assert_eq!(told(drive, "world.zone_ends_episode"), "", "another domain has that");
+    let whole = Override::parse("world={wind=true, zone_ends_episode=true}").unwrap();
+    let text = check("").unwrap().check_evaluated(&whole, &registry).unwrap_err().to_string();
+    assert!(text.starts_with("--set: `world.zone_ends_episode` has no effect"), "{text}");
 }
 
 #[test]
