@@ -1,5 +1,3 @@
-use leadtime_config::Override;
-
 use super::*;
 use crate::test_support::{CART, STUDY, plan, record, request, sentence, study};
 use crate::{catalog, profile};
