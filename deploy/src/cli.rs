@@ -683,48 +683,48 @@ pub(crate) struct CompareArgs {
     /// Name of a study, `all`, or a file of your own; without one, the studies are listed with their rows.
     pub study: Option<PathBuf>,
     /// One training seed and few steps: shows that everything works, and is labelled so.
-    #[arg(long)]
+    #[arg(long, requires = "study")]
     pub quick: bool,
     /// Only these rows: `convey_react`, or `piloting/convey_react` where parts share names; repeatable.
-    #[arg(long = "row", value_name = "ROW")]
+    #[arg(long = "row", requires = "study", value_name = "ROW")]
     pub rows: Vec<String>,
     /// Only these parts; repeatable.
-    #[arg(long = "part", value_name = "PART")]
+    #[arg(long = "part", requires = "study", value_name = "PART")]
     pub parts: Vec<String>,
     /// Change one key of what is trained: `--set human.reaction_delay.fixed=3`; repeatable.
-    #[arg(long = "set", value_name = "KEY=VALUE", value_parser = Override::parse)]
+    #[arg(long = "set", requires = "study", value_name = "KEY=VALUE", value_parser = Override::parse)]
     pub set: Vec<Override>,
     /// Start from this configuration, in the parts of its domain, instead of the study's own; repeatable.
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, requires = "study", value_name = "FILE")]
     pub profile: Vec<PathBuf>,
     /// Training seeds, half open, instead of those of each row (with --quick only the first).
-    #[arg(long, value_name = "A..B", value_parser = number_range)]
+    #[arg(long, requires = "study", value_name = "A..B", value_parser = number_range)]
     pub seeds: Option<Range<u64>>,
     /// Environment steps of every training, instead of the study's or the profile's.
-    #[arg(long, value_name = "STEPS", value_parser = n_steps)]
+    #[arg(long, requires = "study", value_name = "STEPS", value_parser = n_steps)]
     pub steps: Option<u64>,
     /// Evaluation episodes per training seed.
-    #[arg(long, value_name = "N", default_value_t = EPISODES, value_parser = n_episodes())]
+    #[arg(long, requires = "study", value_name = "N", default_value_t = EPISODES, value_parser = n_episodes())]
     pub episodes: u32,
     /// Seed of the evaluations; the training seed is added, so that no two policies of a row meet the same worlds.
-    #[arg(long, value_name = "SEED", default_value_t = EVAL_SEED, allow_negative_numbers = true)]
-    #[arg(value_parser = clap::value_parser!(u64).range(..1 << 62))]
+    #[arg(long, requires = "study", value_name = "SEED", default_value_t = EVAL_SEED, allow_negative_numbers = true)]
+    #[arg(value_parser = clap::value_parser!(u64).range(1..1 << 62))]
     pub eval_seed: u64,
     /// Trainings at a time (default: one per core).
-    #[arg(long, value_name = "N", value_parser = n_processes())]
+    #[arg(long, requires = "study", value_name = "N", value_parser = n_processes())]
     pub jobs: Option<u32>,
     /// Actor processes per training.
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = n_processes())]
+    #[arg(long, requires = "study", value_name = "N", default_value_t = 1, value_parser = n_processes())]
     pub actors: u32,
     /// Directory that holds the runs.
-    #[arg(long, value_name = "DIR", default_value = "runs/compare")]
+    #[arg(long, requires = "study", value_name = "DIR", default_value = "runs/compare")]
     pub runs: PathBuf,
     /// Directory for tables and figures (default: docs/results; a study of your own, and one that is not carried out
     /// whole and as it is, is printed, and written only where --out says).
-    #[arg(short, long, alias = "output", value_name = "DIR")]
+    #[arg(short, long, alias = "output", requires = "study", value_name = "DIR")]
     pub out: Option<PathBuf>,
     /// List the trainings, how far they are and how long they will take, and do nothing.
-    #[arg(long)]
+    #[arg(long, requires = "study")]
     pub plan: bool,
 }
 

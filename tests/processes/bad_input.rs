@@ -77,10 +77,15 @@ fn what_was_meant_is_guessed() {
     refused(&place, &["check -c cartpole --steps 1.5"], &["a whole number of steps"]);
     refused(&place, &["check -c cartpole --steps 1e20"], &["1 to 1e15"]);
     let meant = ["`landr`; did you mean `lander`? Known: "];
-    for args in ["config landr", "check -c landr", "describe landr", "taxonomy report landr"] {
+    for args in ["config landr", "check -c landr", "taxonomy report landr"] {
         refused(&place, &[args], &meant);
     }
-    refused(&place, &["describe landr"], &["no policy file", "no file or configuration"]);
+    let meant = [
+        "`landr` is no file, no run in runs, and no built-in configuration; did you mean `lander`? Known: ",
+    ];
+    for args in ["describe landr", "script-search landr"] {
+        refused(&place, &[args], &meant);
+    }
     refused(&place, &["compare tabl1"], &["`tabl1`; did you mean `table1`? Known: "]);
     // A command that takes no settings gives no advice about them.
     let told = place.finish(&["runs --learning-rate 1e-4"]).with_code(WRONG_INPUT).stderr;
@@ -108,6 +113,32 @@ fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     refused(&place, &["check -c nowhere.toml"], &["nowhere.toml", "cartpole"]);
     refused(&place, &["lurner"], &["learner"]);
     refused(&place, &["actor"], &["--connect"]);
+}
+
+#[test]
+fn a_change_that_says_nothing_to_a_trained_policy_is_told_by_its_key() {
+    let place = Place::new();
+    let policy = repository("deploy/policies/piloting.safetensors");
+    let of_training = "`learner.clip` is a setting of training and changes nothing here";
+    for command in ["eval", "probe", "play", "serve --describe"] {
+        let args = [command, &policy, "--set learner.clip=0.1"];
+        refused(&place, &args, &["--set: ", of_training, "[world], [human], [notifier]"]);
+    }
+    let each = ["eval", &policy, "--each learner.clip=[1,2]"];
+    refused(&place, &each, &["--each: ", of_training]);
+    let set = |command: &str, set: &str| place.finish(&[command, &policy, "--set", set]);
+    let instead = "change `evaluation.world.zone_ends_episode`";
+    for command in ["eval", "probe", "play"] {
+        let told = set(command, "world.zone_ends_episode=true").with_code(WRONG_INPUT);
+        told.saying(&["--set: `world.zone_ends_episode` has no effect", instead]);
+    }
+    set("eval --episodes 1", "evaluation.world.zone_ends_episode=true").with_code(0);
+    let told =
+        ["the policy observes ", "with `notifier.history = 1` the task has ", "leave it out"];
+    set("eval", "notifier.history=1").with_code(WRONG_INPUT).saying(&told);
+    for each in ["human.reaction_delay", "human.reaction_delay=3"] {
+        refused(&place, &["eval", &policy, "--each", each], &["section.key=[value, ...]"]);
+    }
 }
 
 #[test]

@@ -135,4 +135,9 @@ fn wrong_requests_are_one_sentence() {
         assert_eq!(finished.stderr.matches("error: ").count(), 1, "{}", finished.stderr);
     }
     assert!(runs(&place).is_empty());
+    for options in ["--quick --out x", "--plan", "--episodes 9"] {
+        place.finish(&["compare", options]).with_code(2).saying(&["STUDY"]);
+    }
+    let own = ["compare table1 --plan --eval-seed 0"];
+    place.finish(&own).with_code(2).saying(&["--eval-seed", "1.."]);
 }

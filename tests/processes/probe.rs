@@ -32,6 +32,10 @@ fn a_probe_is_reproducible_and_says_where_its_numbers_are_from() {
     let command = format!("* command: `leadtime probe lander --episodes 40 --set '{VARIED}'");
     assert!(page.contains(&command), "{page}");
     assert_eq!(with("--json").with_code(0).json(), probed);
+    let nowhere = with("--markdown no/where.md").with_code(WRONG_INPUT).saying(&["no/where.md"]);
+    assert!(!nowhere.stderr.contains("probing"), "{}", nowhere.stderr);
+    // The seed that it was trained with.
+    with("--eval-seed 1").with_code(0).saying(&["seed 1 is that of its training"]);
 }
 
 #[test]
@@ -39,11 +43,14 @@ fn a_probe_with_nothing_to_find_says_so_in_a_sentence() {
     let place = Place::new();
     trained(&place, "lander");
     let refuse = |args: &str, text: &str| {
-        place.finish(&["probe", args]).with_code(WRONG_INPUT).saying(&[text]);
+        place.finish(&["probe", args]).with_code(WRONG_INPUT).saying(&[text])
     };
     refuse("lander --episodes 40", "reaction delay is 2 in every episode");
-    refuse("lander --episodes 39", "39 episodes are too few");
+    let few = refuse("lander --episodes 39", "39 episodes are too few");
     refuse("nobody", "`nobody` is no policy file");
     trained(&place, "cartpole");
-    refuse("cartpole", "this task has no listener");
+    let unheard = refuse("cartpole", "this task has no listener");
+    for told in [few, unheard] {
+        assert!(!told.stderr.contains("probing"), "it was known before: {}", told.stderr);
+    }
 }

@@ -295,7 +295,15 @@ fn a_trained_policy_can_be_evaluated_and_runs_compared() {
     assert_eq!(evaluated["comparison"]["summaries"][0]["n_episodes"], 8);
     let again = place.finish(&[eval, "--json"]).with_code(0).json();
     assert_eq!(evaluated, again, "an evaluation is reproducible");
-    let text = place.finish(&[eval]).with_code(0).stdout;
+    let of_training = "seed 1 is that of its training";
+    place.finish(&[eval, "--eval-seed 1"]).with_code(0).saying(&[of_training]);
+    let report = "report r --episodes 2 --out own.html --eval-seed 1";
+    place.finish(&[report]).with_code(0).saying(&[of_training]);
+    let own = fs::read_to_string(place.file("own.html")).unwrap();
+    assert!(own.contains("the first of which it began with"), "it claims no others");
+    let other = place.finish(&[eval]).with_code(0);
+    assert!(!other.stderr.contains("is that of its training"), "{}", other.stderr);
+    let text = other.stdout;
     assert!(text.contains("95 %"), "{text}");
     place.finish(&[eval, "--baseline nobody"]).with_code(2).saying(&["nobody"]);
     let other = TRAIN.replace("--name r", "--name s");
@@ -469,7 +477,9 @@ fn a_script_is_searched_and_a_policy_is_compared_with_it_and_with_the_oracle() {
     let words = place.finish(&["script-search lander --steps 2000 --episodes 4"]).with_code(0);
     assert!(words.stdout.starts_with("Tried ") && words.stdout.contains("unaided"));
     assert_eq!(read("lander-script.toml"), read("s.toml"));
-    place.finish(&["script-search cartpole"]).with_code(2).saying(&["no messages are sent"]);
+    let none = place.finish(&["script-search cartpole"]).with_code(2);
+    assert!(!none.stderr.contains("searching a script"), "{}", none.stderr);
+    none.saying(&["no messages are sent"]);
     // What would fail after the search is refused before it, and no script is lost.
     place.finish(&["script-search lander"]).with_code(2).saying(&["exists already", "-o"]);
     place.finish(&["script-search lander -o no/where.toml"]).with_code(2).saying(&["no folder no"]);

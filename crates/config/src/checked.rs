@@ -16,8 +16,8 @@ use leadtime_proto::text::quoted;
 use leadtime_proto::{DomainName, Encoder, EnvSpec, PolicySpec, Rollout, RunName, TaskSpec};
 use leadtime_sims::{Description, Environment, Registry, notifier};
 use leadtime_worker::DOMAIN;
-use toml::Table;
 use toml::de::{DeTable, DeValue};
+use toml::{Table, Value};
 
 use crate::catalog::{Catalog, GENERAL, GENERAL_TEXT, domain_of};
 use crate::error::{ConfigError, ensure, within};
@@ -259,6 +259,39 @@ impl Config {
         })
     }
 
+    /// Refuses a change of the world that has no effect on a trained policy, because where it is evaluated the task has a value
+    /// of its own; this is the configuration with the change.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] that names the key that has an effect.
+    pub fn check_evaluated(
+        &self,
+        change: &Override,
+        registry: &Registry,
+    ) -> Result<(), ConfigError> {
+        if let Value::Table(inner) = &change.value {
+            return Override::of_table(inner).into_iter().try_for_each(|leaf| {
+                let path = [&change.path[..], &leaf.path].concat();
+                let leaf = Override { path, ..leaf.given_by(change.option) };
+                self.check_evaluated(&leaf, registry)
+            });
+        }
+        let Some((section, path)) = change.path.split_first() else { return Ok(()) };
+        let of_task = registry.evaluation_world(self.domain.as_str()).parse::<Table>();
+        let written = self.table.get("evaluation").and_then(|section| section.get("world"));
+        let is_own = written.and_then(Value::as_table).is_some_and(|own| sets(own, path))
+            || of_task.is_ok_and(|own| sets(&own, path));
+        if section != "world" || !is_own {
+            return Ok(());
+        }
+        let (option, key) = (change.option, quoted(&change.key()));
+        Err(ConfigError(format!(
+            "{option}: `{key}` has no effect on a policy that is trained already, for whom the task has a value of its own: \
+             change `evaluation.{key}`"
+        )))
+    }
+
     /// Returns how many steps one update trains on.
     pub fn steps_per_update(&self) -> u64 {
         self.learner.n_envs as u64 * self.learner.n_steps as u64
@@ -273,6 +306,15 @@ impl Config {
         let rounded =
             format!("steps rounded {which} from {steps} to {trained}: {updates} of {batch}");
         (trained != steps).then_some(rounded)
+    }
+}
+
+/// Returns whether a table sets a key, or a part of it.
+fn sets(table: &Table, path: &[String]) -> bool {
+    let Some((first, rest)) = path.split_first() else { return !table.is_empty() };
+    match table.get(first) {
+        Some(Value::Table(inner)) => sets(inner, rest),
+        value => value.is_some(),
     }
 }
 

@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 use toml::{Table, Value};
 
 /// Sections that say where and how a run is carried out, and not what it computes.
-const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", "evaluation."];
+const FREE_SECTIONS: [&str; 3] = ["run.", "actor.", EVALUATION];
 /// The learner's threads change no bit.
 const THREADS: &str = "learner.threads";
 /// Settings of the domain `python` that only say how its workers are kept; what these are named in another world decides there.
@@ -36,6 +36,10 @@ pub const CHANGEABLE: [&str; 14] = [
 pub const TOTAL_STEPS: &str = "learner.total_steps";
 /// The other key that decides when a run ends, and nothing else; it may rise, or go, when a run is resumed.
 pub const STOP_AT: &str = "evaluation.stop_at";
+/// The section that says how policies are evaluated, while a run trains and after it.
+const EVALUATION: &str = "evaluation.";
+/// Its setting that is about evaluations after training alone.
+const EPISODES: &str = "evaluation.episodes";
 /// The seed's key.
 const SEED: &str = "seed";
 /// Settings that are younger than some runs, with the value, as TOML, at which each changes nothing.
@@ -75,11 +79,30 @@ pub fn is_free(key: &str) -> bool {
     is_free && key != STOP_AT
 }
 
+/// Returns whether a key decides what a policy reaches in an evaluation while its run trains, and so which is the best one.
+pub fn decides_best(key: &str) -> bool {
+    key.starts_with(EVALUATION) && key != EPISODES
+}
+
+/// Returns whether a key decides when a run with these settings ends, by what its policies reach while it trains.
+///
+/// That is so only where `evaluation.stop_at` is set; elsewhere such a key is free.
+pub fn decides_end(key: &str, settings: &Table) -> bool {
+    let stop_at = STOP_AT.strip_prefix(EVALUATION).unwrap_or_default();
+    let section = settings.get("evaluation").and_then(Value::as_table);
+    decides_best(key) && section.is_some_and(|section| section.contains_key(stop_at))
+}
+
 /// Returns the leaves that decide what a run computes; without a younger setting that changes nothing, so that an earlier
 /// run keeps its identity.
 fn deciding(table: &Table) -> BTreeMap<String, String> {
+    deciding_and(table, |_| false)
+}
+
+/// As [`deciding`], with free keys that decide something all the same.
+fn deciding_and(table: &Table, decides: impl Fn(&str) -> bool) -> BTreeMap<String, String> {
     let mut leaves = flatten(table);
-    leaves.retain(|key, value| !is_free(key) && !changes_nothing(key, value));
+    leaves.retain(|key, value| (!is_free(key) || decides(key)) && !changes_nothing(key, value));
     if table.get("domain").and_then(Value::as_str) == Some(leadtime_worker::DOMAIN) {
         leaves.retain(|key, _| !FREE_IN_PYTHON.contains(&key.as_str()));
     }
@@ -101,17 +124,25 @@ fn changes_nothing(key: &str, value: &str) -> bool {
 
 /// Computes the hash over everything that must not change when a run is resumed.
 pub fn of_run(table: &Table) -> [u8; 32] {
-    hash(table, &[TOTAL_STEPS, STOP_AT])
+    hash(&deciding(table), &[TOTAL_STEPS, STOP_AT])
 }
 
-/// Computes the hash over everything that decides what a training computes, except for its seed.
+/// Computes the hash over everything that decides the weights at the end of a training, except for its seed.
+///
+/// Where `evaluation.stop_at` is set, that is also how policies are evaluated on the way.
 pub fn of_training(table: &Table) -> [u8; 32] {
-    hash(table, &[SEED])
+    hash(&deciding_and(table, |key| decides_end(key, table)), &[SEED])
 }
 
-fn hash(table: &Table, except: &[&str]) -> [u8; 32] {
+/// Computes the hash over everything that decides the best weights of a training, except for its seed: also over how policies
+/// are evaluated on the way.
+pub fn of_best(table: &Table) -> [u8; 32] {
+    hash(&deciding_and(table, decides_best), &[SEED])
+}
+
+fn hash(leaves: &BTreeMap<String, String>, except: &[&str]) -> [u8; 32] {
     let mut hash = Sha256::new();
-    for (key, value) in deciding(table).iter().filter(|(key, _)| !except.contains(&key.as_str())) {
+    for (key, value) in leaves.iter().filter(|(key, _)| !except.contains(&key.as_str())) {
         hash.update(format!("{key}={value}\n"));
     }
     hash.finalize().into()
@@ -232,5 +263,33 @@ mod tests {
                 [of_run(&changed) == of_run(&run), of_training(&changed) == of_training(&run)];
             assert_eq!(same, expected, "{to}");
         }
+        // Runs are found by this hash: it must stay what it is.
+        let text = "learner.clip=0.2\nlearner.total_steps=5\n";
+        assert_eq!(of_training(&run).as_slice(), Sha256::digest(text).as_slice());
+    }
+
+    #[test]
+    fn what_is_evaluated_on_the_way_decides_the_best_policy_and_the_end_where_a_score_does() {
+        const RUN: &str = "[evaluation]\nepisodes = 9\nduring_training = 8\nheld_out_episodes = 20\n\
+                           action = \"sample\"\n[evaluation.world]\nwind = true";
+        let run = table(RUN);
+        let marked = table(&RUN.replace("sample\"", "sample\"\nstop_at = 0.9"));
+        for (from, to, decides) in [
+            ("episodes = 9", "episodes = 10", false),
+            ("training = 8", "training = 20", true),
+            ("out_episodes = 20", "out_episodes = 40", true),
+            ("sample", "greedy", true),
+            ("wind = true", "wind = false", true),
+        ] {
+            let changed = |of: &Table| table(&of.to_string().replace(from, to));
+            assert_ne!(changed(&run), run, "{to}");
+            assert_eq!(of_training(&changed(&run)), of_training(&run), "{to}");
+            assert_eq!(of_training(&changed(&marked)) != of_training(&marked), decides, "{to}");
+            assert_eq!(of_best(&changed(&run)) != of_best(&run), decides, "{to}");
+            assert_eq!(of_run(&changed(&marked)), of_run(&marked), "{to}");
+        }
+        let action = "evaluation.action";
+        assert!(decides_end(action, &marked) && !decides_end(action, &run));
+        assert!(!decides_end(EPISODES, &marked) && !decides_end("run.name", &marked));
     }
 }

@@ -3,9 +3,10 @@
 use std::fmt;
 
 use leadtime_proto::text::quoted;
-use toml::Value;
 use toml::de::DeValue;
+use toml::{Table, Value};
 
+use crate::error::ConfigError;
 use crate::nesting;
 
 /// The most parts of a key.
@@ -13,6 +14,8 @@ const MAX_PARTS: usize = 16;
 
 /// The option that changes a key, unless another one is named.
 const SET: &str = "--set";
+/// The sections, and the key, that are about training and not about the task.
+const OF_TRAINING: [&str; 5] = ["actor", "learner", "policy", "run", "seed"];
 
 /// One `--set section.key=value`.
 #[derive(Clone, Debug)]
@@ -28,6 +31,38 @@ impl Override {
     pub fn new(key: &str, value: impl Into<Value>) -> Self {
         let path = key.split('.').map(str::to_owned).collect();
         Self { option: SET, path, value: value.into() }
+    }
+
+    /// Makes a change of each setting in a table.
+    pub fn of_table(table: &Table) -> Vec<Self> {
+        let mut changes = Vec::new();
+        for (key, value) in table {
+            let inner = match value {
+                Value::Table(inner) => Self::of_table(inner),
+                _ => vec![Self { option: SET, path: Vec::new(), value: value.clone() }],
+            };
+            changes.extend(inner.into_iter().map(|mut change| {
+                change.path.insert(0, key.clone());
+                change
+            }));
+        }
+        changes
+    }
+
+    /// Refuses a setting of training, where a policy that is trained already is to act in a changed task.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError`] with the key, if it is one of those, and the sections that are about the task.
+    pub fn check_of_task(&self) -> Result<(), ConfigError> {
+        if !self.path.first().is_some_and(|first| OF_TRAINING.contains(&first.as_str())) {
+            return Ok(());
+        }
+        let (option, key) = (self.option, quoted(&self.key()));
+        Err(ConfigError(format!(
+            "{option}: `{key}` is a setting of training and changes nothing here; keys of the task are those of [world], \
+             [human], [notifier] and [evaluation]"
+        )))
     }
 
     /// Reads `section.key=value`; the value is TOML, or text if it is not TOML.
@@ -97,13 +132,18 @@ impl Alternatives {
     ///
     /// As [`Override::parse`], and if the value is not a list, or an empty one.
     pub fn parse(text: &str) -> Result<Self, String> {
+        let misshapen =
+            || Err(format!("`{}` is not of the form section.key=[value, ...]", quoted(text)));
+        if !text.contains('=') {
+            return misshapen();
+        }
         let Override { path, value, .. } = Override::parse(text)?;
         match value {
             Value::Array(values) if !values.is_empty() => {
                 let change = |value| Override { option: "--each", path: path.clone(), value };
                 Ok(Self(values.into_iter().map(change).collect()))
             }
-            _ => Err(format!("`{}` is not of the form section.key=[value, ...]", quoted(text))),
+            _ => misshapen(),
         }
     }
 }
@@ -146,7 +186,18 @@ mod tests {
         assert_eq!(texts, ["human.delay = { fixed = 0 }", "human.delay = { fixed = 2 }"]);
         assert!(each.0.iter().all(|change| change.option == "--each"));
         for text in ["human.delay=3", "human.delay=[]", "human.delay"] {
-            assert!(Alternatives::parse(text).is_err(), "{text}");
+            let told = format!("`{text}` is not of the form section.key=[value, ...]");
+            assert_eq!(Alternatives::parse(text).unwrap_err(), told);
         }
+    }
+
+    #[test]
+    fn a_table_is_a_change_of_each_of_its_settings_and_those_of_training_are_told_apart() {
+        let table: Table = "learner.clip = 0.1\n[human]\nreaction_delay.fixed = 2".parse().unwrap();
+        let [human, learner] = &Override::of_table(&table)[..] else { panic!("two changes") };
+        assert_eq!(human.to_string(), "human.reaction_delay.fixed = 2");
+        human.check_of_task().unwrap();
+        let told = learner.check_of_task().unwrap_err().to_string();
+        assert!(told.starts_with("--set: `learner.clip` is a setting of training"), "{told}");
     }
 }

@@ -545,6 +545,29 @@ fn evaluation_may_differ_from_training_and_a_drive_is_evaluated_to_its_arrival()
 }
 
 #[test]
+fn a_change_of_the_world_that_evaluations_overrule_is_refused_with_the_key_that_counts() {
+    let registry = leadtime_worlds::builtin();
+    let told = |text: &str, key: &str| {
+        let change = Override::new(key, true);
+        let checked = check(text).unwrap().check_evaluated(&change, &registry);
+        checked.err().map(|error| error.to_string()).unwrap_or_default()
+    };
+    let drive = "domain = \"highway\"";
+    let text = told("", "world.zone_ends_episode");
+    assert!(text.contains("change `evaluation.world.zone_ends_episode`"), "{text}");
+    assert!(told(drive, "world.absorb_until").contains("`evaluation.world.absorb_until`"));
+    let windy = "[evaluation.world]\nwind = true";
+    assert!(told(windy, "world.wind").contains("`evaluation.world.wind`"));
+    for free in ["world.wind", "evaluation.world.zone_ends_episode", "human.can_stop", "seed"] {
+        assert_eq!(told("", free), "", "{free}");
+    }
+    assert_eq!(told(drive, "world.zone_ends_episode"), "", "another domain has that");
+    let whole = Override::parse("world={wind=true, zone_ends_episode=true}").unwrap();
+    let text = check("").unwrap().check_evaluated(&whole, &registry).unwrap_err().to_string();
+    assert!(text.starts_with("--set: `world.zone_ends_episode` has no effect"), "{text}");
+}
+
+#[test]
 fn a_stored_configuration_may_lack_what_came_later() {
     let mut table = check("").unwrap().table;
     for key in ["length_bias", "attention_width", "attention_heads"] {

@@ -213,6 +213,13 @@ fn the_score_at_which_a_run_ends_may_rise_or_go_and_nothing_else() {
     finish(ResultCause::StopAt, "0.7");
     assert_eq!(state(None).unwrap(), RunState::Unfinished, "it goes on to its last step");
     assert!(refused("0.9").contains("evaluation.stop_at: (none) -> 0.9"));
+    // How policies are evaluated on the way decides where it ends, so only a run without a score may change that.
+    begun(runs.path(), Some("t"), &[&at("0.5")]);
+    let more = "evaluation.during_training=20";
+    let text = open(runs.path(), Some("t"), &[&at("0.5"), more]).unwrap_err().to_string();
+    assert!(text.contains("evaluation.during_training: 4 -> 20"), "{text}");
+    open(runs.path(), Some("t"), &[&at("0.5"), "evaluation.episodes=9"]).unwrap();
+    open(runs.path(), Some("t"), &[more]).unwrap();
     // All steps are made: a higher score makes no more of them.
     begun(runs.path(), Some("s"), &[&at("0.5")]);
     open(runs.path(), Some("s"), &[&at("0.5")]).unwrap().0.finish(result()).unwrap();

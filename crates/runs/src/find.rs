@@ -43,8 +43,8 @@ pub fn name_in_place(directory: &Path, record: &RunRecord) -> String {
     name.unwrap_or_else(|| record.name.clone())
 }
 
-/// Asks whether another run was meant: one with a similar name; nothing if there is none.
-pub(crate) fn did_you_mean_run(runs: &Path, name: &Path) -> String {
+/// Asks whether another run was meant: `; did you mean `lander-1`?` for one with a similar name; nothing if there is none.
+pub fn did_you_mean_run(runs: &Path, name: &Path) -> String {
     let entries = fs::read_dir(runs).into_iter().flatten().filter_map(Result::ok);
     let names = entries.filter(|entry| entry.path().is_dir());
     let names: Vec<String> =

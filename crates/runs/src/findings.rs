@@ -112,8 +112,9 @@ pub fn evaluate_run(
     let evaluations = evaluate_all(tasks, config, &players, request.n_episodes(config), seed)?;
     let comparison = compare(config, &evaluations, &[]);
     let lead = format!(
-        "Trained {}, then evaluated on episodes that training never saw. The evaluated policy is {}, from update {}.",
+        "Trained {}, then evaluated on {}. The evaluated policy is {}, from update {}.",
         trained(config, run.n_updates()),
+        which_episodes(config.seed == seed),
         file_name(&policy.path),
         policy.n_updates
     );
@@ -148,8 +149,9 @@ pub fn evaluate_runs(
     policies: &[LoadedPolicy],
     request: &EvaluationRequest,
 ) -> Result<Findings, Error> {
+    let is_own = policies.iter().any(|policy| policy.config.seed == request.seed);
     let lead =
-        format!("{} runs side by side, evaluated on episodes that training never saw.", runs.len());
+        format!("{} runs side by side, evaluated on {}.", runs.len(), which_episodes(is_own));
     let Some(LoadedPolicy { config, .. }) = policies.first() else {
         return Ok(Findings { lead, ..Findings::default() });
     };
@@ -221,6 +223,15 @@ fn trained(config: &Config, n_updates: u64) -> String {
     format!(
         "on domain {domain} for {n}{n_all} updates of {n_steps} steps by a learner and separate actors"
     )
+}
+
+/// Says what training had to do with the episodes of an evaluation: it begins with those of its own seed.
+fn which_episodes(is_own: bool) -> &'static str {
+    if is_own {
+        "episodes of a training's own seed, the first of which it began with"
+    } else {
+        "episodes that training never saw"
+    }
 }
 
 fn file_name(path: &Path) -> &str {

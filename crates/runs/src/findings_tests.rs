@@ -73,6 +73,15 @@ fn a_page_tells_how_far_the_run_is_and_which_policy_was_evaluated() {
     for part in [&format!("for 5 of {n} updates"), "policy.safetensors, from update 5"] {
         assert!(lead.contains(part), "{lead}");
     }
+    let leads = |seed: u64| {
+        let (request, policy) = (EvaluationRequest { seed, ..REQUEST }, load(&run));
+        let one = evaluate_run(&tasks, &run, &policy, &request).unwrap().findings.lead;
+        let runs = std::slice::from_ref(&run);
+        [one, evaluate_runs(&tasks, runs, &[policy], &request).unwrap().lead]
+    };
+    let unseen = |leads: [String; 2]| leads.map(|lead| lead.contains("training never saw"));
+    assert_eq!(unseen(leads(config.seed + 1)), [true, true]);
+    assert_eq!(unseen(leads(config.seed)), [false, false]);
     evaluated.record.write(&run.directory, &config).unwrap();
     let found = Findings::of_training(&config, &run, "leadtime");
     assert!(found.lead.contains("the last evaluation of policy.safetensors"), "{}", found.lead);

@@ -64,7 +64,7 @@ pub use command_line::{command_line, program_name, shell_argument};
 pub use directory::RunDir;
 pub use directory_error::RunDirError;
 pub use evaluation_record::{EvaluationRecord, LAST_EVALUATION};
-pub use find::{find_run, name_in_place};
+pub use find::{did_you_mean_run, find_run, name_in_place};
 pub use layout::RunState;
 pub use leadtime_learner::{PartialFile, write_atomically};
 pub use learner_config::learner_config;

@@ -52,6 +52,9 @@ pub enum PolicyFileError {
     /// The configuration in the file, or a change of it, is refused.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// A change of the task needs another policy; the sentence says which change, and what it needs.
+    #[error("{0}")]
+    OtherTask(String),
     /// The weights are not those that were written.
     #[error(
         "{} is damaged: its weights are not those that were written; take the file from a copy{}",
@@ -102,7 +105,14 @@ impl LoadedPolicy {
         };
         let place = format!("the configuration in {}", path.display());
         let config = Config::stored(&place, text, changes, registry)?;
-        let (parameters, _) = weights(&path, &bytes, &metadata, &config.policy)?;
+        let read = weights(&path, &bytes, &metadata, &config.policy);
+        if !changes.is_empty() && matches!(read, Err(PolicyFileError::Misfit { .. })) {
+            let own = Config::stored(&place, text, &[], registry)?;
+            if let Some(sentence) = other_shape(&own.policy, &config.policy, changes) {
+                return Err(PolicyFileError::OtherTask(sentence));
+            }
+        }
+        let (parameters, _) = read?;
         let n_updates = metadata.get(VERSION).and_then(|version| version.parse().ok());
         let (n_updates, sha256) = (n_updates.unwrap_or(0), sha256(&bytes));
         Ok(Self { path, config, parameters, n_updates, sha256 })
@@ -256,6 +266,20 @@ fn weights(
     }
 }
 
+/// Says what changes of a task have to do with what its policy observes and chooses; `None` if they change neither.
+fn other_shape(own: &PolicySpec, changed: &PolicySpec, changes: &[Override]) -> Option<String> {
+    let with: Vec<String> = changes.iter().map(|change| format!("`{change}`")).collect();
+    let leave = if with.len() == 1 { "leave it out" } else { "leave out what changes that" };
+    let differ = |does: &str, [own, changed]: [usize; 2], what: &str| {
+        let with = with.join(" and ");
+        let says = format!("the policy {does} {own} {what}; with {with} the task has {changed}");
+        (own != changed).then(|| format!("{says}: {leave}"))
+    };
+    let specs = [own, changed];
+    let observed = differ("observes", specs.map(|spec| spec.obs_dim), "numbers");
+    observed.or_else(|| differ("has", specs.map(|spec| spec.actions.n_choices()), "choices"))
+}
+
 fn foreign(path: &Path, reason: &str) -> PolicyFileError {
     let (shown, again) = (path.display(), made_again(path));
     PolicyFileError::NoPolicy(format!("{shown} is not a policy of Leadtime: {reason}{again}"))
@@ -320,6 +344,26 @@ mod tests {
         assert!(other.ends_with(told), "{other}");
         let wider = fork(&config("cartpole", &["policy.hidden=[32]"])).unwrap_err();
         assert!(wider.contains("other networks (`policy`) than the new run: "), "{wider}");
+    }
+
+    #[test]
+    fn a_change_that_needs_another_policy_is_told_in_the_numbers_of_the_task() {
+        let dir = tempfile::tempdir().unwrap();
+        let config = crate::test_support::config(dir.path(), "lander", "r", &[]);
+        let parameters = Parameters::initialize(&config.policy, 1).unwrap();
+        let file = dir.path().join("p.safetensors");
+        fs::write(&file, parameters.to_safetensors(&metadata(&config, "r")).unwrap()).unwrap();
+        let registry = crate::Tasks::new().registry;
+        let load = |change: &str| {
+            let changes = [Override::parse(change).unwrap()];
+            LoadedPolicy::load(&registry, dir.path(), &file, &changes)
+        };
+        load("human.reaction_delay=3").unwrap();
+        let told = load("notifier.history=1").unwrap_err().to_string();
+        let n = config.policy.obs_dim;
+        let begins =
+            format!("the policy observes {n} numbers; with `notifier.history = 1` the task has ");
+        assert!(told.starts_with(&begins) && told.ends_with(": leave it out"), "{told}");
     }
 
     #[test]

@@ -10,6 +10,7 @@ use leadtime_eval::measure::{
     with_lead_times, with_outcomes, with_said,
 };
 use leadtime_numerics::stats::mean;
+use leadtime_proto::TaskSpec;
 use leadtime_runs::Tasks;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
@@ -32,6 +33,9 @@ const METRICS: u32 = 2;
 /// Evaluations by row and condition: one per training seed.
 type Sampled = BTreeMap<(String, String), Vec<Evaluation>>;
 
+/// What decides an evaluation of the unaided listener: domain, settings and seed. Two domains may have equal settings.
+type UnaidedKey = (String, String, u64);
+
 /// Evaluates policies; remembers what the unaided listener did in the same episodes.
 #[derive(Debug)]
 pub(crate) struct Evaluator<'a> {
@@ -39,8 +43,8 @@ pub(crate) struct Evaluator<'a> {
     shutdown: &'a CancellationToken,
     /// Evaluations that were made before.
     pub(crate) cache: EvalCache,
-    /// By task and seed.
-    unaided: BTreeMap<(String, u64), Evaluation>,
+    /// By what decides them.
+    unaided: BTreeMap<UnaidedKey, Evaluation>,
 }
 
 /// The metrics that are computed for an episode beyond the task's own.
@@ -130,7 +134,7 @@ impl<'a> Evaluator<'a> {
             }
             _ => None,
         };
-        let mut settings = planned.profile.differences(&row.config);
+        let mut settings = planned.profile.differences(&row.config, which);
         if let Some(search) = &row.search {
             settings.extend(search.facts()?);
         }
@@ -209,7 +213,7 @@ impl<'a> Evaluator<'a> {
     }
 
     fn unaided(&mut self, config: &Config, protocol: Protocol) -> Result<&Evaluation, Error> {
-        let key = (config.evaluation.task.settings.clone(), protocol.seed);
+        let key = unaided_key(&config.evaluation.task, protocol.seed);
         if !self.unaided.contains_key(&key) {
             let unaided = EvalCandidate::script(&config.run.directory, UNAIDED, UNAIDED);
             let evaluation = self.evaluation(&unaided, config, protocol, Detail::Measures)?;
@@ -217,6 +221,10 @@ impl<'a> Evaluator<'a> {
         }
         Ok(&self.unaided[&key])
     }
+}
+
+fn unaided_key(task: &TaskSpec, seed: u64) -> UnaidedKey {
+    (task.domain.clone(), task.settings.clone(), seed)
 }
 
 /// Sums up how trainings came out; `None` where the task knows no success, or there is one training.

@@ -30,7 +30,7 @@ fn evaluated_text(text: &str, request: &StudyRequest) -> (PartResult, String) {
 /// Makes a finished run out of an untrained policy, unless there is one.
 fn finish(directory: &Path, config: &Config) {
     if !directory.exists() {
-        record(directory, true);
+        record(directory, config, true);
         put_policy(directory, config, config.seed);
     }
 }
@@ -124,6 +124,16 @@ fn another_policy_seed_setting_or_number_of_episodes_is_evaluated() {
     let loaded = LoadedPolicy::load(&Tasks::new().registry, runs.path(), &file, &[]).unwrap();
     put_policy(&run, &loaded.config, 99);
     assert_eq!(evaluated(&two).1, HALF, "the script and the unaided listener stay");
+}
+
+#[test]
+fn the_unaided_listener_of_another_world_is_another_one_though_its_settings_are_the_same() {
+    let key = |domain: &str, seed| {
+        unaided_key(&TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() }, seed)
+    };
+    assert_eq!(key("mine", 1), key("mine", 1));
+    assert_ne!(key("mine", 1), key("yours", 1));
+    assert_ne!(key("mine", 1), key("mine", 2));
 }
 
 #[test]

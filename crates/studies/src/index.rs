@@ -1,7 +1,7 @@
 //! The index of results: every study's main tables, from the data next to it.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use leadtime_runs::regular;
 use serde_json::Value;
@@ -31,8 +31,8 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
     page.push_str(&others(results));
     let mut missing = Vec::new();
     for name in catalog::names() {
-        let full = read(&results.join(format!("{name}.json")))?;
-        let quick = read(&results.join(QUICK).join(format!("{name}.json")))?;
+        let full = read(&data(results, name))?;
+        let quick = read(&data(&results.join(QUICK), name))?;
         let section = match (full, quick) {
             (Some(result), _) => result.section(""),
             (None, Some(result)) => result.section(&format!("{QUICK}/")),
@@ -51,8 +51,18 @@ pub(crate) fn page(results: &Path) -> Result<String, Error> {
     Ok(page)
 }
 
-/// Makes sure that the index of a directory replaces nothing but an earlier one.
-pub(crate) fn check(results: &Path) -> Result<(), Error> {
+/// Returns the file of a study's data in a directory.
+pub(crate) fn data(directory: &Path, study: &str) -> PathBuf {
+    directory.join(format!("{study}.json"))
+}
+
+/// Makes sure that the index of a directory can be made of what is there, but for the data that will be `written` anew, and
+/// that it replaces nothing but an earlier one.
+pub(crate) fn check(results: &Path, written: &[PathBuf]) -> Result<(), Error> {
+    text_of(&results.join(VERDICT))?;
+    let quick = results.join(QUICK);
+    let there = catalog::names().flat_map(|name| [data(results, name), data(&quick, name)]);
+    there.filter(|file| !written.contains(file)).try_for_each(|file| read(&file).map(drop))?;
     let path = results.join(FILE);
     let Some(text) = text_of(&path)? else { return Ok(()) };
     ensure(text.starts_with(BEGINNING), || {

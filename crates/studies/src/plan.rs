@@ -3,14 +3,14 @@
 
 use std::path::{Path, PathBuf};
 
-use leadtime_config::{Config, Layer};
+use leadtime_config::{Config, Layer, Override, identity};
 use leadtime_episodes::known_players;
 use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
-use leadtime_runs::layout::is_finished;
+use leadtime_runs::layout::{is_finished, read_config};
 use leadtime_runs::{BEST_POLICY, LAST_POLICY, Tasks, journal};
-use toml::Value;
+use toml::{Table, Value};
 
 use crate::catalog::NamedStudy;
 use crate::error::{Error, Placed as _, ensure};
@@ -175,14 +175,13 @@ impl PlannedPart {
         part: &StudyPart,
         request: &StudyRequest,
     ) -> Result<Self, Error> {
-        let profile = Profile::load(tasks, part, request)?;
+        let profile = Profile::load(tasks, &named.name, part, request)?;
         let mut rows = Vec::new();
         for row in part.rows.iter().filter(|row| request.wants_row(part, row)) {
-            let stem = format!("{}-{}-{}", named.name, part.name, row.name).replace('_', "-");
             let config = profile.training(tasks, part, row, request);
             let seeds = request.seeds(&named.study, part, row);
             let planned =
-                config.and_then(|config| PlannedRow::new(tasks, &stem, part, row, config, seeds));
+                config.and_then(|config| PlannedRow::new(tasks, named, part, row, config, seeds));
             rows.push(planned.at(format_args!("row {}", row.name))?);
         }
         check_measures(part, &rows)?;
@@ -192,7 +191,7 @@ impl PlannedPart {
             seed: request.eval_seed,
             failed_below: named.study.failed_below,
         };
-        let maps = plan_maps(tasks, part, &profile)?;
+        let maps = plan_maps(tasks, &named.name, part, &profile)?;
         Ok(Self { part: part.clone(), profile, protocol, rows, maps })
     }
 
@@ -256,8 +255,43 @@ fn check_players(tasks: &Tasks, script: Option<&str>, config: &Config) -> Result
     Ok(())
 }
 
+/// Checks what an evaluation changes: settings of the task that have an effect there, and not how much a trained policy sees
+/// and how many choices it has.
+fn check_condition(
+    tasks: &Tasks,
+    row: &Config,
+    is_trained: bool,
+    set: &Table,
+    evaluated: &Config,
+) -> Result<(), Error> {
+    for change in Override::of_table(set) {
+        let change = change.given_by("set");
+        change.check_of_task()?;
+        evaluated.check_evaluated(&change, &tasks.registry)?;
+    }
+    if !is_trained {
+        return Ok(());
+    }
+    let environment = tasks.registry.build(&evaluated.evaluation.task)?;
+    let (policy, task) = (&row.policy, environment.spec());
+    let made_for = [policy.obs_dim, policy.actions.n_choices()];
+    let needed = [task.obs_dim, task.actions.n_choices()];
+    ensure(made_for == needed, || {
+        format!(
+            "it changes what a policy sees or chooses: the row's observes {} numbers and has {} choices, and this task has {} \
+             and {}; change that in the `set` of the row as well",
+            made_for[0], made_for[1], needed[0], needed[1]
+        )
+    })
+}
+
 /// Reads the maps that a part wants drawn, and checks that its domain has some if it wants any.
-fn plan_maps(tasks: &Tasks, part: &StudyPart, own: &Profile) -> Result<Vec<PlannedMap>, Error> {
+fn plan_maps(
+    tasks: &Tasks,
+    study: &str,
+    part: &StudyPart,
+    own: &Profile,
+) -> Result<Vec<PlannedMap>, Error> {
     let check = |profile: &str, domain: &str| {
         ensure(tasks.registry.has_map(domain), || {
             format!(
@@ -270,7 +304,7 @@ fn plan_maps(tasks: &Tasks, part: &StudyPart, own: &Profile) -> Result<Vec<Plann
     }
     let mut maps = Vec::new();
     for map in &part.maps {
-        let config = profile::read(tasks, Path::new(&map.profile)).at("`maps`")?;
+        let config = profile::of_study(tasks, study, &map.profile).at("`maps`")?;
         check(&map.profile, config.domain.as_str()).at("`maps`")?;
         maps.push(PlannedMap { title: map.title.clone(), config });
     }
@@ -280,7 +314,7 @@ fn plan_maps(tasks: &Tasks, part: &StudyPart, own: &Profile) -> Result<Vec<Plann
 impl PlannedRow {
     fn new(
         tasks: &Tasks,
-        stem: &str,
+        named: &NamedStudy,
         part: &StudyPart,
         row: &StudyRow,
         config: Config,
@@ -297,8 +331,12 @@ impl PlannedRow {
             if !is_made && condition.set.is_empty() {
                 continue;
             }
-            let config = config.with([Layer::table("`set`", &condition.set)], &tasks.registry);
-            let config = config.at(format_args!("evaluation {}", condition.name))?;
+            let place = format!("evaluation {}", condition.name);
+            let evaluated = config.with([Layer::table("`set`", &condition.set)], &tasks.registry);
+            let evaluated = evaluated.at(&place)?;
+            check_condition(tasks, &config, script.is_none(), &condition.set, &evaluated)
+                .at(place)?;
+            let config = evaluated;
             let same = |known: &PlannedCondition| known.config.evaluation == config.evaluation;
             let place = conditions.iter().position(same).unwrap_or(conditions.len());
             if place == conditions.len() {
@@ -308,8 +346,9 @@ impl PlannedRow {
             conditions[place].titles.push(condition.title.clone());
         }
         check_players(tasks, script.filter(|_| search.is_none()), &config)?;
-        let hash = profile::hash(&config);
-        let train = |&seed| PlannedTraining::new(tasks, stem, &config, &hash, seed);
+        let policy = named.study.policy;
+        let stem = format!("{}-{}-{}", named.name, part.name, row.name).replace('_', "-");
+        let train = |&seed| PlannedTraining::new(tasks, &stem, &config, policy, seed);
         let trained = seeds.iter().filter(|_| row.script.is_none());
         let trainings = trained.map(train).collect::<Result<_, Error>>()?;
         Ok(Self { row: row.clone(), config, seeds, trainings, search, conditions })
@@ -357,11 +396,14 @@ impl PlannedTraining {
         tasks: &Tasks,
         stem: &str,
         config: &Config,
-        hash: &str,
+        policy: WhichPolicy,
         seed: u64,
     ) -> Result<Self, Error> {
+        let hash = profile::hash(&config.table, policy);
         let suffix = format!("-{hash}-s{seed}");
-        let name = existing(&config.run.directory, &suffix).unwrap_or_else(|| {
+        let wanted = WantedRun { hash: &hash, policy, seed };
+        let found = wanted.existing(&config.run.directory, &suffix);
+        let name = found.clone().unwrap_or_else(|| {
             let room = MAX_NAME - suffix.len();
             let stem: String = stem.chars().take(room).collect();
             format!("{}{suffix}", stem.trim_end_matches('-'))
@@ -369,7 +411,10 @@ impl PlannedTraining {
         let text = format!("seed = {seed}\nrun.name = \"{name}\"\n");
         let config = config.with([Layer::text("--seeds", text)], &tasks.registry)?;
         let name = RunName::new(name).map_err(|error| Error::Refused(error.to_string()))?;
-        Ok(Self { name, config, hash: hash.to_owned() })
+        if found.is_none() {
+            wanted.check_free(&config.run.directory.join(name.as_str()), &config.table)?;
+        }
+        Ok(Self { name, config, hash })
     }
 
     pub(crate) fn directory(&self) -> PathBuf {
@@ -406,13 +451,57 @@ impl PlannedTraining {
     }
 }
 
-/// Finds a run that computes the same, whatever study it was made for; of several a finished one, the first by name.
-fn existing(runs: &Path, suffix: &str) -> Option<String> {
-    let entries = std::fs::read_dir(runs).ok()?.filter_map(Result::ok);
-    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
-    let is_run =
-        |name: &String| name.ends_with(suffix) && runs.join(name).join("run.json").exists();
-    names.filter(is_run).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
+/// What a run must have been trained with to be taken for a training. Its name says so only as long as nobody lets it go on with
+/// other settings.
+struct WantedRun<'a> {
+    hash: &'a str,
+    policy: WhichPolicy,
+    seed: u64,
+}
+
+impl WantedRun<'_> {
+    /// Returns whether a run with this configuration is such a one.
+    fn is(&self, config: &Table) -> bool {
+        let seed = config.get("seed").and_then(Value::as_integer);
+        seed.is_some_and(|seed| u64::try_from(seed) == Ok(self.seed))
+            && profile::hash(config, self.policy) == self.hash
+    }
+
+    /// Finds a run that computes the same, whatever study it was made for; of several a finished one, the first by name.
+    fn existing(&self, runs: &Path, suffix: &str) -> Option<String> {
+        let entries = std::fs::read_dir(runs).ok()?.filter_map(Result::ok);
+        let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+        let is_wanted = |name: &String| {
+            let run = runs.join(name);
+            name.ends_with(suffix)
+                && run.join("run.json").exists()
+                && read_config(&run).is_ok_and(|config| self.is(&config))
+        };
+        names.filter(is_wanted).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
+    }
+
+    /// Refuses the place of a new run if one lies there that was trained with something else.
+    fn check_free(&self, run: &Path, config: &Table) -> Result<(), Error> {
+        let shown = run.display();
+        let helps = "move it away, or take other --runs";
+        let found = match read_config(run) {
+            Ok(found) => found,
+            // It counts as done, and nobody knows what it was trained with.
+            Err(error) if is_finished(run) => {
+                return Err(Error::Refused(format!("{error}; or {helps}")));
+            }
+            Err(_) => return Ok(()),
+        };
+        let mut changes = identity::difference(config, &found);
+        changes.retain(|it| profile::decides(&it.key, &found, self.policy));
+        let changes: Vec<String> = changes.iter().map(ToString::to_string).collect();
+        ensure(changes.is_empty(), || {
+            format!(
+                "{shown} was trained with another configuration than its name says: {}; {helps}",
+                changes.join("; ")
+            )
+        })
+    }
 }
 
 #[cfg(test)]

@@ -1,5 +1,3 @@
-use leadtime_config::Override;
-
 use super::*;
 use crate::test_support::{CART, STUDY, plan, record, request, sentence, study};
 use crate::{catalog, profile};
@@ -85,14 +83,62 @@ fn a_run_that_computes_the_same_is_taken_whatever_it_is_called() {
     let other = format!("elsewhere-{}-s7", training.hash);
     std::fs::create_dir_all(runs.path().join(&other)).unwrap();
     assert_eq!(names(&plan(STUDY, &request).unwrap()), names(&first));
-    record(&runs.path().join(&other), false);
+    record(&runs.path().join(&other), &training.config, false);
     let again = plan(STUDY, &request).unwrap();
     assert_eq!(names(&again)[0], other);
     assert!(!again.trainings()[0].is_finished(), "it was only begun");
     let later = format!("later-{}-s7", training.hash);
-    record(&runs.path().join(&later), true);
+    record(&runs.path().join(&later), &training.config, true);
     let again = plan(STUDY, &request).unwrap();
     assert_eq!(names(&again)[0], later, "a finished one is taken before one that was begun");
+}
+
+#[test]
+fn how_policies_are_evaluated_on_the_way_tells_trainings_apart_where_it_decides_their_policy() {
+    let best = STUDY.replace("lead = \"l\"", "lead = \"l\"\njudged = \"best\"");
+    let hash = |text: &str, more: &[&str]| {
+        let set = more.iter().copied().map(set).collect::<Vec<_>>().concat();
+        let plan = plan(text, &StudyRequest { set, ..whole() }).unwrap();
+        plan.trainings()[0].hash.clone()
+    };
+    let (mark, often) = ("evaluation.stop_at=0.9", "evaluation.during_training=20");
+    assert_eq!(hash(STUDY, &[]), hash(STUDY, &[often]));
+    assert_ne!(hash(STUDY, &[mark]), hash(STUDY, &[mark, often]));
+    assert_ne!(hash(&best, &[]), hash(&best, &[often]));
+    assert_eq!(hash(&best, &[]), hash(&best, &["evaluation.episodes=9"]));
+}
+
+#[test]
+fn a_run_that_went_on_with_other_settings_is_not_what_its_name_says() {
+    let runs = tempfile::tempdir().unwrap();
+    let request = StudyRequest { seeds: Some(7..8), ..request(runs.path()) };
+    let training = plan(STUDY, &request).unwrap().trainings()[0].clone();
+    let with = |key: &str| {
+        let change = Layer::set(&Override::parse(key).unwrap());
+        training.config.with([change], &Tasks::new().registry).unwrap()
+    };
+    let changed = with("learner.total_steps=4000000");
+    let other = runs.path().join(format!("elsewhere-{}-s7", training.hash));
+    record(&other, &changed, true);
+    let again = plan(STUDY, &request).unwrap();
+    assert_eq!(again.trainings()[0].name, training.name, "it is not taken");
+    record(&training.directory(), &changed, true);
+    let text = sentence(plan(STUDY, &request));
+    assert!(text.contains("another configuration than its name says: "), "{text}");
+    assert!(text.contains(" -> 4000000; move it away"), "{text}");
+    record(&training.directory(), &with("seed=9"), true);
+    let text = sentence(plan(STUDY, &request));
+    assert!(text.contains("seed: 7 -> 9"), "{text}");
+    // What changes nothing does not count, nor what an older build did not have.
+    let mut older = with("run.checkpoint_every=3").table;
+    older["policy"].as_table_mut().unwrap().remove("length_bias");
+    record(&training.directory(), &training.config, true);
+    let file = training.directory().join("config.toml");
+    std::fs::write(&file, older.to_string()).unwrap();
+    assert!(plan(STUDY, &request).unwrap().trainings()[0].is_finished());
+    std::fs::remove_file(&file).unwrap();
+    let text = sentence(plan(STUDY, &request));
+    assert!(text.contains("no config.toml any more") && text.contains("other --runs"), "{text}");
 }
 
 #[test]
@@ -127,7 +173,7 @@ fn one_row_with_one_setting_changed() {
     assert_eq!(table["human"]["reaction_delay"]["fixed"].as_integer(), Some(3));
     assert_eq!(training.config.learner.total_steps, 4096);
     let row = &plan.parts[0].rows[0];
-    let differences = plan.parts[0].profile.differences(&row.config);
+    let differences = plan.parts[0].profile.differences(&row.config, WhichPolicy::Last);
     assert!(differences.contains(&"human.reaction_delay.fixed = 3".to_owned()), "{differences:?}");
 }
 
@@ -202,6 +248,30 @@ fn a_player_that_the_task_does_not_have_is_refused_before_anything_is_trained() 
     let text = sentence(plan(&scripted, &whole()));
     assert!(text.contains("row a: ") && text.contains("player `unaided`"), "{text}");
     assert!(text.ends_with("in the task `cartpole`; it has none"), "{text}");
+}
+
+#[test]
+fn an_evaluation_that_cannot_be_or_changes_nothing_is_refused_before_anything_is_trained() {
+    let with = |set: &str| {
+        let more = format!("    {{ name = \"odd\", title = \"odd\", {set} }},\n]\n[[parts.rows]]");
+        plan(&STUDY.replacen("]\n[[parts.rows]]", &more, 1), &whole())
+    };
+    with("set.world.wind = true").unwrap();
+    with("set.evaluation.world.zone_ends_episode = true").unwrap();
+    for (set, told) in [
+        ("set.world.zone_jitter = [0.1, 0.1]", "it changes what a policy sees or chooses"),
+        ("set.notifier.history = 1", "numbers and has"),
+        ("set.learner.clip = 0.1", "`learner.clip` is a setting of training"),
+        ("set.world.zone_ends_episode = true", "change `evaluation.world.zone_ends_episode`"),
+    ] {
+        let text = sentence(with(set));
+        assert!(text.contains("evaluation odd: ") && text.contains(told), "{text}");
+    }
+    // A script has no shape.
+    let rows = vec!["script".to_owned()];
+    let jittered =
+        STUDY.replace("title = \"real\",", "title = \"real\", set.world.zone_jitter = [0.1, 0.1],");
+    plan(&jittered, &StudyRequest { rows, ..whole() }).unwrap();
 }
 
 #[test]

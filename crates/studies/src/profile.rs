@@ -6,11 +6,12 @@ use leadtime_config::identity::{self, Change};
 use leadtime_config::{Config, ConfigSource, Layer, Override};
 use leadtime_proto::hex;
 use leadtime_runs::Tasks;
+use toml::Table;
 
-use crate::catalog::NamedStudy;
+use crate::catalog::{self, NamedStudy};
 use crate::error::{Error, Placed as _, ensure};
 use crate::request::StudyRequest;
-use crate::study::{StudyPart, StudyRow};
+use crate::study::{StudyPart, StudyRow, WhichPolicy};
 
 /// Keys that options set, and which ones.
 const OPTIONS: [(&str, &str); 3] =
@@ -31,10 +32,11 @@ impl Profile {
     /// Loads the part's own profile, or the requested one for its domain.
     pub(crate) fn load(
         tasks: &Tasks,
+        study: &str,
         part: &StudyPart,
         request: &StudyRequest,
     ) -> Result<Self, Error> {
-        let own = read(tasks, Path::new(&part.profile))?;
+        let own = of_study(tasks, study, &part.profile)?;
         for other in &request.profiles {
             let config = read(tasks, other).at("--profile")?;
             if config.domain == own.domain {
@@ -73,10 +75,11 @@ impl Profile {
         Ok(config)
     }
 
-    /// Lists the settings in which a training differs from the profile.
-    pub(crate) fn differences(&self, config: &Config) -> Vec<String> {
+    /// Lists the settings in which a training of which this policy is taken differs from the profile.
+    pub(crate) fn differences(&self, config: &Config, policy: WhichPolicy) -> Vec<String> {
         let changes = identity::difference(&self.config.table, &config.table).into_iter();
-        let decides = |change: &Change| change.key != "seed" && !identity::is_free(&change.key);
+        let decides =
+            |change: &Change| change.key != "seed" && decides(&change.key, &config.table, policy);
         let sentence = |change: Change| match change.after.as_str() {
             "" => format!("{} left out", change.key),
             after => format!("{} = {after}", change.key),
@@ -85,9 +88,19 @@ impl Profile {
     }
 }
 
-/// Computes the first digits of the hash over everything that decides what a training computes, its seed excepted.
-pub(crate) fn hash(config: &Config) -> String {
-    hex::encode(&identity::of_training(&config.table)).chars().take(HASH_DIGITS).collect()
+/// Computes the first digits of the hash over everything that decides this policy of a training, its seed excepted.
+pub(crate) fn hash(table: &Table, policy: WhichPolicy) -> String {
+    let hash = match policy {
+        WhichPolicy::Last => identity::of_training(table),
+        WhichPolicy::Best => identity::of_best(table),
+    };
+    hex::encode(&hash).chars().take(HASH_DIGITS).collect()
+}
+
+/// Returns whether a key decides this policy of a training with these settings.
+pub(crate) fn decides(key: &str, table: &Table, policy: WhichPolicy) -> bool {
+    let is_best = policy == WhichPolicy::Best && identity::decides_best(key);
+    is_best || !identity::is_free(key) || identity::decides_end(key, table)
 }
 
 /// Checks that every requested profile takes the place of some part's, and no two of the same.
@@ -100,9 +113,11 @@ pub(crate) fn check_profiles(
     for file in &request.profiles {
         let domain = read(tasks, file).at("--profile")?.domain;
         let mut fits = false;
-        let parts = studies.iter().flat_map(|named| &named.study.parts);
-        for part in parts.filter(|part| request.wants_part(part)) {
-            fits |= read(tasks, Path::new(&part.profile))?.domain == domain;
+        let parts = studies
+            .iter()
+            .flat_map(|named| named.study.parts.iter().map(move |part| (named, part)));
+        for (named, part) in parts.filter(|(_, part)| request.wants_part(part)) {
+            fits |= of_study(tasks, &named.name, &part.profile)?.domain == domain;
         }
         let place = format!("--profile {}", file.display());
         ensure(fits, || {
@@ -116,7 +131,33 @@ pub(crate) fn check_profiles(
     Ok(())
 }
 
-/// Reads a configuration as it is: a built-in one or a file.
+/// Reads a configuration that a study names. One that comes with the program means the built-in configurations, whatever lies
+/// in the folder where it is carried out.
+pub(crate) fn of_study(tasks: &Tasks, study: &str, profile: &str) -> Result<Config, Error> {
+    let built_in = catalog::is_built_in(study).then(|| tasks.catalog.file(profile)).flatten();
+    let Some(file) = built_in else { return read(tasks, Path::new(profile)) };
+    let source = ConfigSource { file: Some(file), ..ConfigSource::default() };
+    Ok(Config::load(&source, &tasks.catalog, &tasks.registry)?)
+}
+
+/// Reads a configuration as it is: a file or a built-in one.
 pub(crate) fn read(tasks: &Tasks, file: &Path) -> Result<Config, Error> {
     Ok(tasks.configure(Some(file), ConfigSource::default())?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_built_in_study_means_built_in_profiles_and_ones_own_its_files() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("known");
+        let name = file.to_str().unwrap();
+        std::fs::write(&file, "base = \"lander\"\nseed = 6").unwrap();
+        let mut tasks = Tasks::new();
+        tasks.catalog.add(name, "base = \"lander\"\nseed = 5");
+        let seed = |study: &str| of_study(&tasks, study, name).unwrap().seed;
+        assert_eq!([seed("table1"), seed("my-study")], [5, 6]);
+    }
 }

@@ -107,7 +107,7 @@ pub(crate) fn details(
     let steps: u64 = runs.iter().map(|run| run.steps).sum();
     let minutes: f64 = runs.iter().map(|run| run.minutes).sum();
     let profiles = plan.parts.iter().map(|part| {
-        let hash = profile::hash(&part.profile.config);
+        let hash = profile::hash(&part.profile.config.table, plan.named.study.policy);
         format!("{} `{}` ({hash})", part.part.name, part.profile.name)
     });
     let policy = match plan.named.study.policy {

@@ -1,8 +1,8 @@
 //! The scripts of a row that the task does not have: one that is searched, and the oracle that mends what it does.
 //!
-//! A searched script is a file next to the runs, `scripts/<key>.toml`, named after everything that decides it. It is
-//! searched once, in the task that the row trains on and with as many steps as a training has. Later uses read the
-//! file.
+//! A searched script is a file next to the runs, `scripts/<key>.toml`, named after everything that decides it but the program. It
+//! is searched once, in the task that the row trains on and with as many steps as a training has. Later uses read the
+//! file, whichever build has written it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ pub(crate) struct PlannedSearch {
     path: PathBuf,
 }
 
-/// What decides a searched script.
+/// What decides a searched script, the program excepted.
 #[derive(Serialize)]
 struct SearchKey<'a> {
     schema: u32,

@@ -31,8 +31,8 @@ impl<'a> StudySession<'a> {
     ///
     /// # Errors
     ///
-    /// If the request names something that does not exist, a setting is refused, a measure is unknown, or a page or
-    /// the index would replace one that no study wrote.
+    /// If the request names something that does not exist, a setting is refused, a measure is unknown, a run was trained with
+    /// something else than its name says, a page or the index would replace one that no study wrote, or the index cannot be made.
     pub fn plan(
         tasks: &'a Tasks,
         studies: Vec<NamedStudy>,
@@ -41,7 +41,7 @@ impl<'a> StudySession<'a> {
         plan::check_choice(&studies, &request)?;
         profile::check_profiles(tasks, &studies, &request)?;
         let destination = Destination::new(&request, &studies);
-        destination.check_index()?;
+        destination.check_index(&studies)?;
         studies.iter().try_for_each(|named| destination.check(&named.name))?;
         let plans = studies.into_iter().map(|named| StudyPlan::new(tasks, named, &request));
         let mut plans = plans.collect::<Result<Vec<_>, _>>()?;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use leadtime_config::Config;
 use leadtime_runs::{LAST_POLICY, ProgramBuild, ResultCause, RunRecord, RunResult, Tasks};
 
 use crate::catalog::NamedStudy;
@@ -72,9 +73,10 @@ set.learner.gamma = 0.9
 paper_on.long = { return = [1.0] }
 "#;
 
-/// Writes the record of a run that was begun, or has ended.
-pub(crate) fn record(directory: &Path, is_finished: bool) {
+/// Writes the record and the configuration of a run that was begun, or has ended.
+pub(crate) fn record(directory: &Path, config: &Config, is_finished: bool) {
     std::fs::create_dir_all(directory).unwrap();
+    std::fs::write(directory.join("config.toml"), config.table.to_string()).unwrap();
     let mut record = RunRecord::begin("a", "lander", 7, &ProgramBuild::default());
     record.result = is_finished.then(|| RunResult {
         finished: String::new(),

@@ -32,7 +32,8 @@ impl Destination {
     /// Checks, before hours of training, that a study's page would replace nothing but an earlier one of its own.
     pub(crate) fn check(&self, study: &str) -> Result<(), Error> {
         let Some(directory) = self.directory() else { return Ok(()) };
-        let [page, data] = ["md", "json"].map(|end| directory.join(format!("{study}.{end}")));
+        let page = directory.join(format!("{study}.md"));
+        let data = index::data(&directory, study);
         ensure(!page.exists() || data.exists(), || {
             format!(
                 "{} was not written by a study ({} is missing); use another --out, or another name for the study",
@@ -48,9 +49,14 @@ impl Destination {
         })
     }
 
-    /// Checks, before hours of training, that the index would replace nothing but an earlier one.
-    pub(crate) fn check_index(&self) -> Result<(), Error> {
-        self.results.as_deref().map_or(Ok(()), index::check)
+    /// Checks, before hours of training, that the index can be made, and would replace nothing but an earlier one.
+    pub(crate) fn check_index(&self, studies: &[NamedStudy]) -> Result<(), Error> {
+        let Some((results, directory)) = self.results.as_deref().zip(self.directory()) else {
+            return Ok(());
+        };
+        let written: Vec<PathBuf> =
+            studies.iter().map(|named| index::data(&directory, &named.name)).collect();
+        index::check(results, &written)
     }
 
     fn directory(&self) -> Option<PathBuf> {
@@ -76,9 +82,9 @@ impl Destination {
         let Some(directory) = self.directory() else { return Ok(None) };
         let name = &result.study;
         let json = serde_json::to_string_pretty(result).unwrap_or_default() + "\n";
-        let page = put(&directory, &format!("{name}.md"), result.markdown().as_bytes())?;
+        // The data first: by it a page is known as a study's, also after a kill between the two.
         put(&directory, &format!("{name}.json"), json.as_bytes())?;
-        Ok(Some(page))
+        put(&directory, &format!("{name}.md"), result.markdown().as_bytes()).map(Some)
     }
 
     /// Writes the index over all results in the directory, and returns its path; `None` if results are not written.
@@ -99,6 +105,7 @@ fn put(directory: &Path, file: &str, bytes: &[u8]) -> Result<PathBuf, Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::bootstrap;
     use crate::test_support::{STUDY, request, sentence, study};
     use leadtime_config::Override;
 
@@ -148,15 +155,61 @@ mod tests {
     }
 
     #[test]
+    fn a_study_whose_page_could_not_be_written_is_written_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = Some(dir.path().to_owned());
+        let destination = destination(&StudyRequest { out, ..request(Path::new("runs")) });
+        let result = StudyResult {
+            study: "driving".to_owned(),
+            title: "t".to_owned(),
+            lead: "l".to_owned(),
+            warnings: Vec::new(),
+            bootstrap: bootstrap(),
+            provenance: Vec::new(),
+            parts: Vec::new(),
+        };
+        let [page, data] = ["md", "json"].map(|end| dir.path().join(format!("driving.{end}")));
+        // Something is in the way of one of the two, and goes away.
+        for (blocked, other) in [(&data, &page), (&page, &data)] {
+            fs::create_dir(blocked).unwrap();
+            destination.write(&result).unwrap_err();
+            fs::remove_dir(blocked).unwrap();
+            assert_eq!(other.exists(), *other == data);
+            destination.check("driving").unwrap();
+        }
+        assert_eq!(destination.write(&result).unwrap(), Some(page));
+    }
+
+    #[test]
+    fn an_index_that_could_not_be_made_is_told_before_anything_is_trained() {
+        let dir = tempfile::tempdir().unwrap();
+        let out = Some(dir.path().to_owned());
+        let studies = catalog::find("table1").unwrap();
+        let whole = StudyRequest { out, ..request(Path::new("runs")) };
+        let check = |quick| {
+            let request = StudyRequest { quick, ..whole.clone() };
+            Destination::new(&request, &studies).check_index(&studies)
+        };
+        // One of an earlier release, which this study will replace.
+        fs::write(dir.path().join("table1.json"), "{\"study\": \"table1\"}").unwrap();
+        check(false).unwrap();
+        let error = sentence(check(true));
+        assert!(error.contains("table1.json is not a study's result"), "{error}");
+        fs::write(dir.path().join("hard.json"), "{").unwrap();
+        let error = sentence(check(false));
+        assert!(error.contains("hard.json is not a study's result"), "{error}");
+    }
+
+    #[test]
     fn an_index_that_no_comparison_wrote_is_not_replaced() {
         let dir = tempfile::tempdir().unwrap();
         let out = Some(dir.path().to_owned());
         let destination = destination(&StudyRequest { out, ..request(Path::new("runs")) });
-        destination.check_index().unwrap();
+        destination.check_index(&[]).unwrap();
         let index = destination.write_index().unwrap().unwrap();
-        destination.check_index().unwrap();
+        destination.check_index(&[]).unwrap();
         fs::write(&index, "# My project\n").unwrap();
-        let error = sentence(destination.check_index());
+        let error = sentence(destination.check_index(&[]));
         assert!(error.contains("README.md was not written by `leadtime compare`"), "{error}");
         assert_eq!(fs::read_to_string(&index).unwrap(), "# My project\n");
     }

@@ -12,6 +12,7 @@ use leadtime_studies::{
 };
 use leadtime_table::{Table, wrapped};
 
+use super::script_search;
 use crate::build::this_build;
 use crate::cli::CompareArgs;
 use crate::ending::{Watch, drain_on_request, unless_drained, watch};
@@ -72,6 +73,7 @@ fn failure(error: Error) -> Failure {
     let code = match &error {
         Error::Interrupted => ExitCode::Interrupted,
         Error::Training { code, .. } => code.map_or(ExitCode::Failed, ExitCode::from_status),
+        Error::Script(error) => script_search::exit_code(error),
         Error::Task(_) | Error::Play(_) | Error::Eval(_) | Error::Launch(LaunchError::Start(_)) => {
             ExitCode::Failed
         }
@@ -157,5 +159,21 @@ impl StudyObserver for Console {
 
     fn written(&mut self, path: &Path) {
         output::line(&path.display().to_string());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_scripts::Error as ScriptError;
+
+    use super::*;
+
+    #[test]
+    fn a_search_that_fails_has_the_exit_code_that_it_has_alone() {
+        let code = |error: ScriptError| failure(Error::Script(error)).code;
+        assert_eq!(code(ScriptError::Endless { index: 0, n_steps: 1 }), ExitCode::Failed);
+        let no_thread = std::io::Error::other("no thread");
+        assert_eq!(code(ScriptError::Thread(no_thread)), ExitCode::Failed);
+        assert_eq!(code(ScriptError::NoMessages), ExitCode::WrongInput);
     }
 }

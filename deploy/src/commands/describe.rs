@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
-use anyhow::{Context as _, Error};
 use leadtime_config::{Config, ConfigSource, Override};
 use leadtime_eval::describe;
-use leadtime_runs::{LoadedPolicy, Tasks};
+use leadtime_proto::phrase::did_you_mean;
+use leadtime_proto::text::quoted;
+use leadtime_runs::{LoadedPolicy, Tasks, did_you_mean_run};
 use leadtime_table::{Table, WIDTH};
 use serde_json::json;
 
@@ -43,23 +44,32 @@ pub(super) fn load(
     set: &[Override],
     runs: &Path,
 ) -> Result<Config, Failure> {
-    let set = set.to_vec();
     let is_text = task.extension().is_some_and(|extension| extension == "toml");
     let is_built_in = task.to_str().is_some_and(|name| tasks.catalog.file(name).is_some());
-    let configure = |set| {
-        tasks.workers.permit_configured();
-        let source = ConfigSource { set, ..ConfigSource::default() };
-        tasks.configure(Some(task), source).map_err(Error::new)
-    };
     if is_text || is_built_in {
-        return configure(set).blame(ExitCode::WrongInput);
+        tasks.workers.permit_configured();
+        let source = ConfigSource { set: set.to_vec(), ..ConfigSource::default() };
+        return tasks.configure(Some(task), source).blame(ExitCode::WrongInput);
     }
-    match LoadedPolicy::load(&tasks.registry, runs, task, &set) {
-        Ok(loaded) => Ok(loaded.config),
-        // It may have been meant as the name of either.
-        Err(error) if !task.exists() && !runs.join(task).exists() => {
-            configure(set).context(error).blame(ExitCode::WrongInput)
-        }
-        Err(error) => Err(error).blame(ExitCode::WrongInput),
+    // It may have been meant as the name of either.
+    if !task.exists() && !runs.join(task).exists() {
+        return Err(Failure::input(nothing(tasks, task, runs)));
     }
+    let loaded = LoadedPolicy::load(&tasks.registry, runs, task, set);
+    loaded.map(|loaded| loaded.config).blame(ExitCode::WrongInput)
+}
+
+/// Says that nothing has that name, and which one was meant.
+fn nothing(tasks: &Tasks, task: &Path, runs: &Path) -> String {
+    let name = task.to_string_lossy();
+    let known: Vec<&str> = tasks.catalog.names().collect();
+    let meant = [did_you_mean(&name, known.iter().copied()), did_you_mean_run(runs, task)];
+    let meant = meant.into_iter().find(|meant| !meant.is_empty());
+    format!(
+        "`{}` is no file, no run in {}, and no built-in configuration{} Known: {}",
+        quoted(&name),
+        runs.display(),
+        meant.unwrap_or_else(|| ".".to_owned()),
+        known.join(", ")
+    )
 }

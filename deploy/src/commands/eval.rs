@@ -22,6 +22,7 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     args.acting.choosing.worker.permit(tasks, &args.policy);
     let Some(each) = &args.each else {
         let task = EvalTask::load(tasks, args, None)?;
+        evaluation::warn_of_own_episodes(&task.policy, args.acting.choosing.eval_seed);
         if args.transcript {
             return transcript(tasks, args, &task);
         }
@@ -54,6 +55,9 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     // All of them first, so that an impossible value is reported before an hour's work.
     let load = |change| EvalTask::load(tasks, args, Some(change));
     let loaded = each.0.iter().map(load).collect::<Result<Vec<_>, _>>()?;
+    if let Some(task) = loaded.first() {
+        evaluation::warn_of_own_episodes(&task.policy, args.acting.choosing.eval_seed);
+    }
     let mut results = Vec::new();
     for (task, change) in loaded.iter().zip(&each.0) {
         let record = task.evaluate(tasks, args)?;
@@ -85,9 +89,8 @@ impl EvalTask {
     fn load(tasks: &Tasks, args: &EvalArgs, change: Option<&Override>) -> Result<Self, Failure> {
         let acting = &args.acting;
         let changes: Vec<Override> = acting.set.iter().chain(change).cloned().collect();
-        let policy =
-            LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, &args.policy, &changes)
-                .blame(ExitCode::WrongInput)?;
+        let policy = evaluation::load(tasks, &acting.choosing.runs, &args.policy, &changes);
+        let policy = policy.blame(ExitCode::WrongInput)?;
         let config = &policy.config;
         evaluation::check_measures(config, &args.measure).blame(ExitCode::WrongInput)?;
         let action = acting.choosing.action.unwrap_or(config.evaluation.action);

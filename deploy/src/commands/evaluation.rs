@@ -3,12 +3,36 @@
 use std::path::Path;
 
 use anyhow::{Context as _, Error};
-use leadtime_config::Config;
+use leadtime_config::{Config, Override};
 use leadtime_eval::measure::{Comparison, evaluated_measures};
 use leadtime_proto::phrase::{counted, no_such};
-use leadtime_runs::EvaluationRecord;
+use leadtime_runs::{EvaluationRecord, LoadedPolicy, Tasks};
 
 use crate::output;
+
+/// Loads a policy that is to act in its task with changes; refuses a change that would have no effect.
+pub(super) fn load(
+    tasks: &Tasks,
+    runs: &Path,
+    policy: &Path,
+    changes: &[Override],
+) -> anyhow::Result<LoadedPolicy> {
+    changes.iter().try_for_each(Override::check_of_task)?;
+    let loaded = LoadedPolicy::load(&tasks.registry, runs, policy, changes)?;
+    let check = |change: &Override| loaded.config.check_evaluated(change, &tasks.registry);
+    changes.iter().try_for_each(check)?;
+    Ok(loaded)
+}
+
+/// Warns where a policy plays the episodes that its training began with.
+pub(super) fn warn_of_own_episodes(policy: &LoadedPolicy, seed: u64) {
+    if policy.config.seed == seed {
+        tracing::warn!(
+            policy = %policy.path.display(),
+            "seed {seed} is that of its training, which began with these episodes; others tell more: take another --eval-seed"
+        );
+    }
+}
 
 /// Writes an evaluation into the directory of its run.
 pub(super) fn save(record: &EvaluationRecord, run: &Path, config: &Config) -> anyhow::Result<()> {

@@ -11,11 +11,10 @@ use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::player;
 use leadtime_proto::phrase::counted;
 use leadtime_recording::{picture, transcript};
-use leadtime_runs::{LoadedPolicy, Tasks};
+use leadtime_runs::Tasks;
 
-use super::episode;
 use super::opponent::opponents;
-use super::recorded;
+use super::{episode, evaluation, recorded};
 use crate::cli::PlayArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
 use crate::output::{self, DRAW_MORE, TRY};
@@ -54,8 +53,8 @@ pub(super) fn run(tasks: &Tasks, args: &PlayArgs) -> Result<(), Failure> {
     let name = args.policy.as_deref().unwrap_or(Path::new(""));
     let acting = &args.acting;
     acting.choosing.worker.permit(tasks, name);
-    let loaded = LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, name, &acting.set)
-        .blame(ExitCode::WrongInput)?;
+    let loaded = evaluation::load(tasks, &acting.choosing.runs, name, &acting.set);
+    let loaded = loaded.blame(ExitCode::WrongInput)?;
     let environment = tasks.registry.build(&loaded.config.evaluation.task);
     let environment = environment.blame(ExitCode::WrongInput)?;
     let others = opponents(args.baseline.as_slice(), environment.as_ref());

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use leadtime_eval::measure::{Choice, PlaySettings};
-use leadtime_eval::probe::{ProbeResult, probe};
+use leadtime_eval::probe::{ProbeResult, check_probe, probe};
 use leadtime_eval::report::ProvenanceDetail;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::hex;
@@ -11,6 +11,7 @@ use leadtime_runs::{LoadedPolicy, Tasks};
 use leadtime_studies::program_details;
 use serde_json::{Value, json};
 
+use super::evaluation;
 use crate::build::this_build;
 use crate::cli::ProbeArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -22,14 +23,14 @@ const DIGEST_DIGITS: usize = 12;
 pub(super) fn run(tasks: &Tasks, args: &ProbeArgs) -> Result<(), Failure> {
     let acting = &args.acting;
     acting.choosing.worker.permit(tasks, &args.policy);
-    let loaded =
-        LoadedPolicy::load(&tasks.registry, &acting.choosing.runs, &args.policy, &acting.set)
-            .blame(ExitCode::WrongInput)?;
+    let loaded = evaluation::load(tasks, &acting.choosing.runs, &args.policy, &acting.set);
+    let loaded = loaded.blame(ExitCode::WrongInput)?;
     let action = acting.choosing.action.unwrap_or(loaded.config.evaluation.action);
+    // First: a path that cannot be written is reported before the episodes are played.
+    let page = args.markdown.as_deref();
+    page.map_or(Ok(()), output::check_file).blame(ExitCode::WrongInput)?;
     let known = measure(tasks, args, &loaded, action).blame(ExitCode::WrongInput)?;
-    if let Some(path) = &args.markdown {
-        write(path, args, &loaded, action, &known)?;
-    }
+    // Printed first: a file that cannot be written must not cost the results.
     if args.json {
         output::json(&json!({
             "policy": loaded.path.display().to_string(),
@@ -42,7 +43,7 @@ pub(super) fn run(tasks: &Tasks, args: &ProbeArgs) -> Result<(), Failure> {
     } else {
         output::line(known.text().trim_end());
     }
-    Ok(())
+    page.map_or(Ok(()), |path| write(path, args, &loaded, action, &known))
 }
 
 fn measure(
@@ -56,6 +57,8 @@ fn measure(
     let make = || tasks.registry.build(&config.evaluation.task);
     let settings = PlaySettings::new(u64::from(n_episodes), args.acting.choosing.eval_seed);
     let settings = settings.threads(leadtime_runs::evaluation::n_threads());
+    check_probe(&make, &player, &settings)?;
+    evaluation::warn_of_own_episodes(loaded, settings.seed);
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");
     Ok(probe(&make, &player, &settings, Bootstrap::new(config.seed))?)
 }

@@ -100,6 +100,11 @@ pub(super) fn run(tasks: &Tasks, args: &ScriptSearchArgs) -> Result<(), Failure>
 fn find(tasks: &Tasks, config: &Config, n_steps: u64, seed: u64) -> Result<FoundScript, Failure> {
     let make = || tasks.registry.build(&config.task);
     let stop = || false;
+    let environment = make().blame(ExitCode::WrongInput)?;
+    if environment.scriptable().is_none() {
+        return Err(Failure::of(ExitCode::WrongInput, Error::NoMessages));
+    }
+    drop(environment);
     let settings = SearchSettings { n_steps, seed, n_threads: n_threads(), stop: &stop };
     tracing::info!(domain = %config.domain, n_steps, seed, "searching a script");
     let mut show = |progress: &SearchProgress| {
@@ -110,11 +115,13 @@ fn find(tasks: &Tasks, config: &Config, n_steps: u64, seed: u64) -> Result<Found
     };
     let found = search(&make, &settings, &mut show);
     terminal::hide_bar();
-    found.map_err(|error| {
-        let is_input = matches!(error, Error::NoMessages | Error::Task(_));
-        let code = if is_input { ExitCode::WrongInput } else { ExitCode::Failed };
-        Failure::of(code, error)
-    })
+    found.map_err(|error| Failure::of(exit_code(&error), error))
+}
+
+/// Returns the exit code of a search that failed.
+pub(super) fn exit_code(error: &Error) -> ExitCode {
+    let is_input = matches!(error, Error::NoMessages | Error::Task(_));
+    if is_input { ExitCode::WrongInput } else { ExitCode::Failed }
 }
 
 fn sentence(progress: &SearchProgress) -> String {

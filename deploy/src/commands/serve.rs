@@ -11,7 +11,7 @@ use leadtime_link::ListenSettings;
 use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
 use leadtime_proto::phrase::counted;
-use leadtime_runs::{LoadedPolicy, Tasks, clock, regular, write_atomically};
+use leadtime_runs::{Tasks, clock, regular, write_atomically};
 use leadtime_serve::{
     LiveService, MAX_SESSIONS, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore,
     WorkingPolicy,
@@ -23,7 +23,7 @@ use leadtime_voice::{Loudspeaker, VoiceChoice};
 use serde_json::{Value, json};
 
 use super::robot_session::robot_session;
-use super::taxonomy;
+use super::{evaluation, taxonomy};
 use crate::cli::ServeArgs;
 use crate::credentials::{listen_settings, listening_failure};
 use crate::ending::{Watch, watch};
@@ -92,8 +92,8 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
 
 /// Loads the policy with its words.
 pub(super) fn load(tasks: &Tasks, args: &ServeArgs) -> Result<WorkingPolicy, Failure> {
-    let loaded = LoadedPolicy::load(&tasks.registry, &args.runs, &args.policy, &args.set)
-        .blame(ExitCode::WrongInput)?;
+    let loaded = evaluation::load(tasks, &args.runs, &args.policy, &args.set);
+    let loaded = loaded.blame(ExitCode::WrongInput)?;
     let config = &loaded.config;
     let environment = tasks.registry.build(&config.evaluation.task);
     let environment = environment.blame(ExitCode::WrongInput)?;

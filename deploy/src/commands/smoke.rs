@@ -84,6 +84,7 @@ fn evaluate(tasks: &Tasks, args: &SmokeArgs, directory: &Path) -> anyhow::Result
     }
     let run = RunFiles::read(directory)?;
     let policy = LoadedPolicy::load(&tasks.registry, directory, directory, &[])?;
+    evaluation::warn_of_own_episodes(&policy, EVAL_SEED);
     let episodes = args.episodes.or(args.quick.then_some(QUICK_EPISODES));
     let request = EvaluationRequest { episodes, action: None, seed: EVAL_SEED };
     let RunEvaluation { findings, record: evaluated } =

@@ -32,4 +32,4 @@ mod scoring;
 mod synthetic;
 
 pub use result::{MIN_EPISODES, ProbeResult, ProbeStage, ReaderScore, Score};
-pub use scoring::probe;
+pub use scoring::{check_probe, probe};

@@ -36,21 +36,27 @@ pub(super) struct ProbeSample {
     pub(super) hidden: Vec<f32>,
 }
 
+/// Checks that there is a delay to be known: it depends on the task alone, so one episode shows it.
+pub(super) fn check_listener(
+    make: &MakeEnvironment<'_>,
+    settings: &PlaySettings<'_>,
+) -> Result<(), Error> {
+    let first = EnvSlot::new(make()?, 0, episode_seed(settings.seed, settings.first));
+    let insight = first.env().insight().ok_or_else(|| Error::Probe(NO_LISTENER.to_owned()))?;
+    insight.reaction_delay.ok_or_else(|| Error::Probe(DELAY_PER_MESSAGE.to_owned())).map(drop)
+}
+
 /// Plays the episodes that [`crate::measure::evaluate`] plays under the same seed; in the order of episodes and stages.
 ///
 /// # Errors
 ///
-/// [`Error::Probe`] if there is no delay to be known; any other [`Error`] in the cases of [`play`].
+/// In the cases of [`play`].
 pub(super) fn record(
     make: &MakeEnvironment<'_>,
     player: &Player,
     settings: &PlaySettings<'_>,
 ) -> Result<Vec<ProbeSample>, Error> {
     let seed = |index| episode_seed(settings.seed, index);
-    // Whether there is a delay to be known depends on the task alone, so one episode shows it.
-    let first = EnvSlot::new(make()?, 0, seed(settings.first));
-    let insight = first.env().insight().ok_or_else(|| Error::Probe(NO_LISTENER.to_owned()))?;
-    insight.reaction_delay.ok_or_else(|| Error::Probe(DELAY_PER_MESSAGE.to_owned()))?;
     let observe = |index| Stages::new(index, seed(index).stream(Purpose::Probe));
     Ok(play(make, player, settings, observe)?.into_iter().flatten().collect())
 }

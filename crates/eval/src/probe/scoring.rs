@@ -25,16 +25,8 @@ pub fn probe(
     settings: &PlaySettings<'_>,
     bootstrap: Bootstrap,
 ) -> Result<ProbeResult, Error> {
-    let (n, least, name) = (settings.n_episodes, 2 * MIN_EPISODES as u64, player.name());
-    if n < least {
-        let text = format!("{n} episodes are too few for a probe; allowed: at least {least}");
-        return Err(Error::Probe(text));
-    }
-    player.check(make()?.as_ref())?;
-    if player.hidden_dim() == 0 {
-        let text = format!("`{name}` is a script, which has no features to read anything from");
-        return Err(Error::Probe(text));
-    }
+    check_probe(make, player, settings)?;
+    let (n, name) = (settings.n_episodes, player.name());
     let samples = record(make, player, settings)?;
     let half = n / 2;
     let (seen, unseen): (Vec<&ProbeSample>, Vec<&ProbeSample>) =
@@ -51,6 +43,29 @@ pub fn probe(
         overall: scorer.overall(),
         differences: scorer.differences(),
     })
+}
+
+/// Checks what can be checked before any episode is played.
+///
+/// # Errors
+///
+/// As [`probe`], but for a delay that never varies.
+pub fn check_probe(
+    make: &MakeEnvironment<'_>,
+    player: &Player,
+    settings: &PlaySettings<'_>,
+) -> Result<(), Error> {
+    let (n, least, name) = (settings.n_episodes, 2 * MIN_EPISODES as u64, player.name());
+    if n < least {
+        let text = format!("{n} episodes are too few for a probe; allowed: at least {least}");
+        return Err(Error::Probe(text));
+    }
+    player.check(make()?.as_ref())?;
+    if player.hidden_dim() == 0 {
+        let text = format!("`{name}` is a script, which has no features to read anything from");
+        return Err(Error::Probe(text));
+    }
+    check_listener(make, settings)
 }
 
 /// What was learned, and the samples that it is evaluated on.
