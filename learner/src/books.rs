@@ -111,6 +111,11 @@ impl Books {
         *self.refusals.entry(cause).or_default() += n;
     }
 
+    /// Returns whether a fresh episode took the place of one that nobody could restore: without that other numbers are trained on.
+    pub fn has_fresh_episodes(&self) -> bool {
+        self.refusals.contains_key(&RefusalCause::FreshEpisode)
+    }
+
     /// Checks the identity.
     ///
     /// # Errors

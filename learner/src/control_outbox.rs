@@ -1,6 +1,6 @@
 //! Control messages to actors, one at a time and in order per actor, off the learner's loop.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -123,7 +123,7 @@ async fn deliver(
 }
 
 /// Compares an answer with the message. Orders are sent one at a time and in order, so an actor that takes them from this
-/// learner alone follows the one that it answers.
+/// learner alone follows the one that it answers, and has trouble with environments that this one gave.
 fn outcome(
     to: &SenderKey,
     membership: MembershipNumber,
@@ -131,10 +131,16 @@ fn outcome(
     reply: ControlReply,
 ) -> ControlOutcome {
     let followed = ControlOutcome::Answered(to.clone(), membership);
-    let Control::Assign(Assignment { epoch: ordered, .. }) = control else { return followed };
+    let Control::Assign(Assignment { epoch: ordered, envs: given, .. }) = control else {
+        return followed;
+    };
     match reply {
         ControlReply::Followed { epoch } if epoch == *ordered => followed,
-        ControlReply::CannotRestore { epoch, envs } if epoch == *ordered => {
+        ControlReply::CannotRestore { epoch, envs: named } if epoch == *ordered => {
+            // Whatever it names, and however often: no more than was given comes of it.
+            let named: BTreeSet<EnvId> = named.into_iter().collect();
+            let given = given.iter().map(|env| env.env_id);
+            let envs = given.filter(|env_id| named.contains(env_id)).collect();
             ControlOutcome::CannotRestore(to.clone(), epoch, envs)
         }
         ControlReply::Followed { epoch } | ControlReply::CannotRestore { epoch, .. } => {
@@ -148,13 +154,17 @@ mod tests {
     use leadtime_proto::{ActorId, Incarnation};
 
     use super::*;
+    use crate::rollout_queue::RolloutQueue;
 
     #[test]
     fn an_answer_about_another_assignment_does_not_count_as_followed() {
         let key = (ActorId::new("a").unwrap(), Incarnation(1));
         let membership = MembershipNumber::default();
-        let order =
-            Control::Assign(Assignment { epoch: Epoch(7), envs: Vec::new(), keep: Vec::new() });
+        let order = Control::Assign(Assignment {
+            epoch: Epoch(7),
+            envs: RolloutQueue::beginning(4),
+            keep: Vec::new(),
+        });
         let heard = |control: &Control, reply| outcome(&key, membership, control, reply);
         let followed = |epoch| ControlReply::Followed { epoch: Epoch(epoch) };
         let cannot =
@@ -167,6 +177,9 @@ mod tests {
         assert_eq!(heard(&order, cannot(8)), astray(8));
         let known = ControlOutcome::CannotRestore(key.clone(), Epoch(7), vec![EnvId(3)]);
         assert_eq!(heard(&order, cannot(7)), known);
+        let envs = [9, 3, 3].map(EnvId).to_vec();
+        let odd = ControlReply::CannotRestore { epoch: Epoch(7), envs };
+        assert_eq!(heard(&order, odd), known, "what was given, and once");
         let stop = Control::Stop { reason: String::new(), cut_off: false };
         assert_eq!(heard(&stop, followed(6)), answered());
         assert_eq!(heard(&Control::Wait, followed(6)), answered());

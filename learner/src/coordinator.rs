@@ -42,6 +42,8 @@ const MAX_ASTRAY: u32 = 3;
 /// Ticks without a rollout after which a member that says hello, and has nothing on its way, does not have the environments
 /// that it was given: a little less than an actor without environments waits before it says so.
 const IDLE_TICKS: u64 = 16;
+const DOUBTED: &str =
+    "an actor cannot restore the state that it sent, and no other one was there to try";
 const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
 /// The most bytes of snapshots in one assignment; more environments go into a second one.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
@@ -108,7 +110,8 @@ pub enum Effect {
 pub enum HelloRefusal {
     /// The actor was cut off.
     #[error(
-        "this actor was cut off because it kept sending messages that were refused: restart it"
+        "this actor was cut off, because what it sent was refused or could not be restored (the learner's log says more): \
+         restart it"
     )]
     CutOff,
     /// Another incarnation is connected; reported as `HelloReply::Taken`.
@@ -502,18 +505,23 @@ impl Coordinator {
     /// Notes that an actor cannot restore the snapshots of some environments.
     ///
     /// The fault may be its own (another build, say), so an environment goes to one actor after the other. If none can
-    /// restore it the snapshot is given up, and its sender is cut off.
+    /// restore it the snapshot is given up. Its sender is cut off if two actors say so, and trusted less on the word of one.
     pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, envs: &[EnvId]) {
+        // Each once, and none of an assignment that is over: the answer is anybody's.
+        let envs = envs.iter().copied();
+        let envs: BTreeSet<EnvId> =
+            envs.filter(|&env_id| self.assigner.owns(key, epoch, env_id)).collect();
+        if self.stage == RunStage::Closing || envs.is_empty() {
+            return;
+        }
         let mut counts = self.assigner.counts(self.roster.members());
         let (mut moves, mut authors) = (Vec::new(), BTreeMap::new());
-        for &env_id in envs {
-            if !self.assigner.owns(key, epoch, env_id) || self.stage == RunStage::Closing {
-                continue; // About an assignment that is over.
-            }
+        for env_id in envs {
             let actor = key.0.clone();
             self.tell(RunEvent::SnapshotRefused { actor, env_id });
             // A member that may have no environments at present is not asked: its failure would prove nothing.
             let doubters = self.queue.doubt(env_id, &key.0);
+            let n_doubters = doubters.len();
             let (roster, stragglers) = (&self.roster, &self.stragglers);
             let may_try = |other: &ActorId| {
                 !doubters.contains(other) && max_envs(roster, stragglers, other) > 0
@@ -527,16 +535,28 @@ impl Coordinator {
             moves.push((env_id, key.clone()));
             // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
             if let Some(author) = self.give_up_snapshot(env_id).filter(|author| author != key) {
-                authors.insert(author, env_id);
+                let most = authors.entry(author).or_insert((n_doubters, env_id));
+                *most = (*most).max((n_doubters, env_id));
             }
         }
         let changes = self.assigner.hand_over(moves);
         self.assign_all(changes);
-        for (author, env_id) in authors {
+        for (author, (n_doubters, env_id)) in authors {
+            self.blame(&author, n_doubters, env_id);
+        }
+    }
+
+    /// Holds a snapshot that was given up against its sender.
+    fn blame(&mut self, author: &SenderKey, n_doubters: usize, env_id: EnvId) {
+        if n_doubters > 1 {
             let reason = format!(
                 "nobody can restore the state that it sent of environment {env_id}: run the learner's build"
             );
-            self.cut_off(&author, reason);
+            self.cut_off(author, reason);
+        } else if self.stragglers.fail(&author.0, 0) {
+            // The one who says so may be a stranger, or run another build.
+            self.rebalance_due = true;
+            self.tell(RunEvent::Distrusted { actor: author.0.clone(), reason: DOUBTED });
         }
     }
 
@@ -551,7 +571,7 @@ impl Coordinator {
                 Some(author)
             }
             Recovery::FreshEpisode(author) => {
-                self.books.refuse(RefusalCause::Snapshot, false);
+                self.books.refuse(RefusalCause::FreshEpisode, false);
                 author
             }
         }
