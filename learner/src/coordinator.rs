@@ -45,7 +45,8 @@ const IDLE_TICKS: u64 = 16;
 const DOUBTED: &str =
     "an actor cannot restore the state that it sent, and no other one was there to try";
 const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
-/// The most bytes of snapshots in one assignment; more environments go into a second one.
+/// The most bytes of snapshots in one assignment; more environments go into a second one. A checkpoint has to hold the snapshots of
+/// all environments, so there are fewer parts than messages may wait for an actor.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
 /// The most rollouts that an actor holds unacknowledged: a window, and one of every environment on top.
 const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as u64;
@@ -243,6 +244,7 @@ impl Coordinator {
         let n_quiet_ticks = self.roster.sender(key).map_or(0, |sender| sender.newest().1);
         if n_quiet_ticks >= IDLE_TICKS
             && self.stage == RunStage::Running
+            && !self.stragglers.is_restoring(&key.0)
             && let Some(change) = self.assigner.renew(&key.0)
         {
             self.assign(change);
@@ -308,6 +310,14 @@ impl Coordinator {
         }
     }
 
+    /// Notes that an actor follows the assignment that it was given: its environments are ready.
+    pub fn followed(&mut self, key: &SenderKey, membership: MembershipNumber, epoch: Epoch) {
+        if self.is_current(key, membership) {
+            self.stragglers.restored(&key.0, epoch);
+        }
+        self.answered(key, membership);
+    }
+
     /// Notes that an actor acknowledged no message of this membership: it is given up, unless it has come back meanwhile.
     pub fn silent(&mut self, key: &SenderKey, membership: MembershipNumber) {
         if self.is_current(key, membership) {
@@ -322,7 +332,7 @@ impl Coordinator {
         }
     }
 
-    /// Gives a member that follows somebody else's assignment its environments again, under a higher number. If
+    /// Gives a member that follows somebody else's assignment its environments again, under a number of its own that is higher. If
     /// there is none, or that has not helped, its membership ends: it says hello when it gets no credit, and starts over.
     fn call_back(&mut self, key: &SenderKey, told: Epoch) {
         let Some(sender) = self.roster.sender(key) else { return };
@@ -507,6 +517,9 @@ impl Coordinator {
     /// The fault may be its own (another build, say), so an environment goes to one actor after the other. If none can
     /// restore it the snapshot is given up. Its sender is cut off if two actors say so, and trusted less on the word of one.
     pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, envs: &[EnvId]) {
+        if self.roster.is_member(key) {
+            self.stragglers.restored(&key.0, epoch);
+        }
         // Each once, and none of an assignment that is over: the answer is anybody's.
         let envs = envs.iter().copied();
         let envs: BTreeSet<EnvId> =
@@ -809,6 +822,10 @@ impl Coordinator {
     /// Makes an actor a member if it may be one. Only then does its build count: a hello alone computes nothing.
     fn admit(&mut self, key: &SenderKey) {
         let Some(build) = self.roster.admit(key) else { return };
+        if let Some(ordered) = self.roster.sender(key).map(|sender| sender.ordered) {
+            // It may have been overruled in an earlier membership: it follows no lower number.
+            self.assigner.count_on_from(&key.0, ordered);
+        }
         if self.builds.note(&build) {
             let actor = Some(key.0.clone());
             self.tell(RunEvent::OtherBuild { actor, build });
@@ -828,6 +845,7 @@ impl Coordinator {
 
     fn lose(&mut self, actor: &ActorId) {
         let n_envs = self.assigner.release(actor);
+        self.stragglers.left(actor);
         if self.stage != RunStage::Closing {
             self.books.steps_redone += n_envs as u64 * u64::from(self.settings.spec.n_steps);
         }
@@ -877,14 +895,19 @@ impl Coordinator {
         let Some(membership) = self.roster.membership(&to) else { return };
         let (n_given, n_kept) = (given.len(), kept.len());
         self.tell(RunEvent::Assigned { actor: actor.clone(), epoch, n_given, n_kept });
+        let mut n_snapshots = 0;
         for (index, envs) in self.parts(&given).into_iter().enumerate() {
             if index > 0 {
-                epoch = self.assigner.next_epoch();
+                epoch = self.assigner.next_epoch(&actor);
             }
+            n_snapshots += envs.iter().filter(|env| !env.snapshot.is_empty()).count();
             let keep = kept.clone();
             kept.extend(envs.iter().map(|env| env.env_id));
             let control = Control::Assign(Assignment { epoch, envs, keep });
             self.effects.push(Effect::Control { to: to.clone(), membership, control });
+        }
+        if n_snapshots > 0 {
+            self.stragglers.restores(&actor, epoch, n_snapshots);
         }
         if let Some(sender) = self.roster.sender(&to) {
             sender.ordered = epoch;

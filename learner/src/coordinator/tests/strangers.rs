@@ -37,3 +37,57 @@ fn on_the_word_of_one_a_sender_is_trusted_less_and_not_cut_off() {
     assert_eq!(c.hello(&hello("a", 1, 2)), Ok(Sequence(2)));
     close_balanced(&mut c);
 }
+
+#[test]
+fn the_number_of_an_assignment_that_one_member_names_is_its_own() {
+    let mut c = coordinator(2, Schedule::Lag(0), &["a", "rogue"]);
+    c.take_effects();
+    let highest = limits::MAX_HEARD_EPOCH;
+    send_under(&mut c, "rogue", 1, highest, &rollout(1, 0, 0));
+    let (to, again) = assignments(&mut c).remove(0);
+    assert_eq!((to, again.epoch), (actor("rogue"), Epoch(highest + 1)), "or it would not follow");
+    assert!(c.epoch() < Epoch(1_000));
+    c.left(actor("rogue"), Incarnation(1));
+    let (to, taken) = assignments(&mut c).remove(0);
+    assert_eq!(to, actor("a"));
+    assert!(taken.epoch < Epoch(1_000), "{}", taken.epoch);
+    // The same start of it comes back, and follows nothing lower.
+    join(&mut c, "rogue");
+    c.left(actor("a"), Incarnation(1));
+    let (_, again) = assignments(&mut c).remove(0);
+    assert_eq!((again.epoch, again.envs.len()), (Epoch(highest + 2), 2));
+    assert!(c.epoch() < Epoch(1_000));
+}
+
+#[test]
+fn an_actor_that_takes_long_to_restore_keeps_its_environments_as_long_as_it_has_not_answered() {
+    let mut c = coordinator(8, Schedule::Lag(0), &[]);
+    c.settings.actors_min = 2;
+    let mut places = RolloutQueue::beginning(8);
+    places.iter_mut().for_each(|place| place.snapshot = vec![1]);
+    c.queue = RolloutQueue::new(Schedule::Lag(0), places);
+    join(&mut c, "quick");
+    join(&mut c, "slow");
+    let told = assignments(&mut c);
+    let follow = |c: &mut Coordinator, index: usize| {
+        let (name, assignment): &(ActorId, Assignment) = &told[index];
+        let key = (name.clone(), Incarnation(1));
+        let membership = c.roster.membership(&key).unwrap();
+        c.followed(&key, membership, assignment.epoch);
+    };
+    follow(&mut c, 0);
+    for env in 0..4 {
+        send(&mut c, "quick", u64::from(env) + 1, 100, &rollout(env, 0, 0));
+    }
+    // Before the first update a member is late after 15 s.
+    let n_taken = |c: &mut Coordinator, n_ticks: u64| {
+        (0..n_ticks).for_each(|_| c.tick());
+        assignments(c).len()
+    };
+    assert_eq!(n_taken(&mut c, 60), 0);
+    c.hello(&hello("slow", 0, 1)).unwrap();
+    assert!(assignments(&mut c).is_empty(), "it has not lost them, it restores them");
+    follow(&mut c, 1);
+    assert_eq!(n_taken(&mut c, 20), 0);
+    assert_eq!(n_taken(&mut c, 40), 2, "it is mute");
+}
