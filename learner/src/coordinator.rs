@@ -235,6 +235,15 @@ impl Coordinator {
             self.n_losers += usize::from(known == Sequence(0));
             let n_steps = u64::from(self.settings.spec.n_steps);
             self.books.roll_back_through(key, heard, n_steps);
+            self.fold_books(known);
+        }
+    }
+
+    /// Keeps the books short if a sender is new in them, whose sequence was `known`.
+    fn fold_books(&mut self, known: Sequence) {
+        if known == Sequence(0) {
+            let roster = &self.roster;
+            self.books.fold(|key| roster.knows(key));
         }
     }
 
@@ -431,6 +440,7 @@ impl Coordinator {
         let made_before = header.sequence <= made_before;
         // Entered before it is read: a refused rollout is acknowledged too, or its sender would send it again for ever.
         self.books.enter(&key, header.sequence);
+        self.fold_books(heard);
         if made_before {
             return self.supersede();
         }

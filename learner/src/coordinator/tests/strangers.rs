@@ -39,6 +39,25 @@ fn on_the_word_of_one_a_sender_is_trusted_less_and_not_cut_off() {
 }
 
 #[test]
+fn starts_that_come_for_one_rollout_do_not_stay_in_the_books() {
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    send(&mut c, "a", 1, 100, &rollout(9, 0, 0));
+    let n_starts = 3_000;
+    for i in 0..n_starts {
+        let name = format!("s{i:047}");
+        join(&mut c, &name);
+        send(&mut c, &name, 1, 100, &rollout(9, 0, 0));
+        c.left(actor(&name), Incarnation(1));
+        c.take_effects();
+    }
+    let n_bytes = codec::encode(c.books()).unwrap().len();
+    assert!(n_bytes < 120_000, "{n_bytes}: some fifty for each start that is kept");
+    send(&mut c, "a", 2, 100, &rollout(9, 0, 0));
+    let books = close_balanced(&mut c);
+    assert_eq!((books.refused, books.published), (n_starts + 2, n_starts + 2));
+}
+
+#[test]
 fn the_number_of_an_assignment_that_one_member_names_is_its_own() {
     let mut c = coordinator(2, Schedule::Lag(0), &["a", "rogue"]);
     c.take_effects();
