@@ -211,7 +211,7 @@ mod tests {
             envs[1].snapshot = snapshot.to_vec();
             Control::Assign(Assignment { epoch: Epoch(1), envs, keep: Vec::new() })
         };
-        // Sixteen environments in Python were seen to take 70 s.
+        // Sixteen environments in Python may take 70 s.
         assert!(timeout_of(&assign(b"state")) > Duration::from_secs(70));
         // Nothing else takes an actor long, and whoever does not answer holds up the run.
         let stop = Control::Stop { reason: String::new(), cut_off: false };
