@@ -610,9 +610,10 @@ async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
     tokio::time::timeout(PATIENCE, poison(link, inbox)).await.expect("in time");
     let report = learner.report_with(honest).await;
     assert_eq!((report.end, report.n_updates), (RunEnd::Finished, N_UPDATES));
+    // On the word of one actor it is not cut off.
     assert_reported(
         &events,
-        |event| matches!(event, RunEvent::CutOff { actor, .. } if actor.as_str() == "rogue"),
+        |event| matches!(event, RunEvent::Distrusted { actor, .. } if actor.as_str() == "rogue"),
     );
 }
 

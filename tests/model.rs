@@ -33,7 +33,8 @@ const N_RUNS: u64 = 60;
 /// Until when things go wrong, and until when the run may recover, in milliseconds.
 const CALM_FROM: u64 = 40_000;
 const END: u64 = 400_000;
-/// What the drivers of the real ones allow for an answer to an order (twice), a first hello and a pull, in milliseconds.
+/// What the drivers of the real ones allow for an answer to an order (twice), a first hello and a pull, in milliseconds. Where
+/// there is something to restore, the real one waits longer: its network loses no order without the actor.
 const ORDER_TIMEOUT: u64 = 3_000;
 const HELLO_TIMEOUT: u64 = 2_000;
 const PULL_TIMEOUT: u64 = 5_000;
@@ -395,7 +396,9 @@ impl World {
                 {
                     learner.coordinator.astray(from, membership, epoch);
                 }
-                ControlReply::Followed { .. } => {}
+                ControlReply::Followed { epoch } => {
+                    learner.coordinator.followed(from, membership, epoch);
+                }
                 ControlReply::CannotRestore { epoch, envs } => {
                     learner.coordinator.cannot_restore(from, epoch, &envs);
                 }

@@ -37,21 +37,35 @@ pub(crate) struct Assigner {
     /// The epoch of the newest assignment; every change opens the next one.
     pub(crate) epoch: Epoch,
     owners: Vec<Option<Ownership>>,
+    /// Where the numbers of members that followed somebody else's assignment begin: of each for itself, for what one of them says
+    /// must not concern the others. They are compared among those of one actor only.
+    overruled: BTreeMap<ActorId, Epoch>,
 }
 
 impl Assigner {
     /// Starts without actors, after the epochs that a checkpoint knows of.
     pub(crate) fn new(n_envs: usize, epoch: Epoch) -> Self {
-        Self { epoch, owners: vec![None; n_envs] }
+        Self { epoch, owners: vec![None; n_envs], overruled: BTreeMap::new() }
     }
 
     pub(crate) fn n_envs(&self) -> usize {
         self.owners.len()
     }
 
-    pub(crate) fn next_epoch(&mut self) -> Epoch {
+    /// Returns the number of an actor's next assignment: the run's next one, unless this actor needs a higher one.
+    pub(crate) fn next_epoch(&mut self, actor: &ActorId) -> Epoch {
         self.epoch = self.epoch.next();
-        self.epoch
+        let Some(own) = self.overruled.get_mut(actor) else { return self.epoch };
+        *own = own.next().max(self.epoch);
+        *own
+    }
+
+    /// Lets the numbers of this actor's assignments, and of nobody else's, begin above this one.
+    pub(crate) fn count_on_from(&mut self, actor: &ActorId, epoch: Epoch) {
+        if epoch > self.epoch {
+            let own = self.overruled.entry(actor.clone()).or_default();
+            *own = epoch.max(*own);
+        }
     }
 
     /// Returns the owner of an environment; `None` also for one that the run does not have.
@@ -71,6 +85,7 @@ impl Assigner {
 
     /// Takes everything from an actor and returns how many environments that was.
     pub(crate) fn release(&mut self, actor: &ActorId) -> usize {
+        self.overruled.remove(actor);
         let released = self.held(actor);
         for env_id in &released {
             self.owners[env_id.0 as usize] = None;
@@ -87,7 +102,7 @@ impl Assigner {
     /// Gives an actor its own environments again, even if it has none, under an epoch above the one that somebody else
     /// gave it.
     pub(crate) fn overrule(&mut self, actor: &ActorId, told: Epoch) -> Reassignment {
-        self.epoch = self.epoch.max(told);
+        self.count_on_from(actor, told);
         self.change(actor.clone(), self.held(actor))
     }
 
@@ -110,7 +125,7 @@ impl Assigner {
 
     /// Begins an epoch for an actor that was given these of its environments.
     fn change(&mut self, actor: ActorId, given: Vec<EnvId>) -> Reassignment {
-        let epoch = self.next_epoch();
+        let epoch = self.next_epoch(&actor);
         let mut kept = self.held(&actor);
         kept.retain(|env_id| !given.contains(env_id));
         for env_id in &given {
@@ -285,7 +300,10 @@ mod tests {
         assert!(assigner.renew(&id("b")).is_none());
         assert_eq!(assigner.overrule(&id("b"), Epoch(70)).epoch, Epoch(71), "though it has none");
         let change = assigner.overrule(&id("a"), Epoch(3));
-        assert_eq!((change.epoch, change.given.len()), (Epoch(72), 2));
+        assert_eq!((change.epoch, change.given.len()), (Epoch(4), 2), "b's number is b's alone");
+        assert_eq!(assigner.overrule(&id("b"), Epoch(9)).epoch, Epoch(72), "it never falls");
+        assigner.release(&id("b"));
+        assert_eq!(assigner.overrule(&id("b"), Epoch(9)).epoch, Epoch(10), "another start of it");
     }
 
     #[test]

@@ -10,6 +10,9 @@
 //!
 //! What a killed learner had accepted after its last checkpoint is `rolled_back`: those rollouts are made and
 //! counted again. What lies beyond a gap in an actor's sequences was not delivered; it is sent again.
+//!
+//! Books are part of every checkpoint, and anybody can be a member for a moment and send a rollout. So the sequences of a limited
+//! number of starts are kept one by one; of those beyond that are gone, [`Books::fold`] keeps the sum.
 
 use std::collections::BTreeMap;
 
@@ -19,6 +22,9 @@ use thiserror::Error;
 
 /// One start of one actor: sequences are counted per start.
 pub type SenderKey = (ActorId, Incarnation);
+
+/// The most starts of actors whose sequences are kept one by one, apart from those that may still send.
+const MAX_STARTS: usize = 2_048;
 
 /// The counters of a run, kept in its checkpoints.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,6 +84,30 @@ impl Books {
         self.published += 1;
     }
 
+    /// Adds up the sequences of starts that are gone, if there are too many, those with the fewest rollouts first. `is_known` says
+    /// which ones may still send; one that comes back all the same is a start that nobody has heard of.
+    pub fn fold(&mut self, is_known: impl Fn(&SenderKey) -> bool) {
+        if self.sequences.len() <= MAX_STARTS {
+            return;
+        }
+        let departed = departed();
+        let is_gone = |key: &SenderKey| *key != departed && !is_known(key);
+        let gone = self.sequences.iter().filter(|(key, _)| is_gone(key));
+        let mut gone: Vec<(Sequence, SenderKey)> =
+            gone.map(|(key, &sequence)| (sequence, key.clone())).collect();
+        gone.sort_unstable();
+        // Half of them at once, so that this is seldom done.
+        gone.truncate(self.sequences.len() - MAX_STARTS / 2);
+        let mut n_rollouts = self.sequence(&departed).0;
+        for (sequence, key) in gone {
+            self.sequences.remove(&key);
+            n_rollouts = n_rollouts.saturating_add(sequence.0);
+        }
+        if n_rollouts > 0 {
+            self.sequences.insert(departed, Sequence(n_rollouts));
+        }
+    }
+
     /// Enters a gap: rollouts of T steps, up to `through`, that a learner before this one accepted and lost.
     pub fn roll_back_through(&mut self, sender: &SenderKey, through: Sequence, n_steps: u64) {
         let lost = through.0.saturating_sub(self.sequence(sender).0);
@@ -111,6 +141,11 @@ impl Books {
         *self.refusals.entry(cause).or_default() += n;
     }
 
+    /// Returns whether a fresh episode took the place of one that nobody could restore: without that other numbers are trained on.
+    pub fn has_fresh_episodes(&self) -> bool {
+        self.refusals.contains_key(&RefusalCause::FreshEpisode)
+    }
+
     /// Checks the identity.
     ///
     /// # Errors
@@ -127,8 +162,17 @@ impl Books {
     }
 }
 
+/// Returns the entry under which the rollouts of all folded starts are counted. Checkpoints know senders only, and no start has this
+/// number, which would have to be the digest of its key.
+fn departed() -> SenderKey {
+    (ActorId::new("departed").expect("a short word"), Incarnation(0))
+}
+
 #[cfg(test)]
 mod tests {
+    use leadtime_ppo::checkpoints::RECORDS_BYTES;
+    use leadtime_proto::codec;
+
     use super::*;
 
     fn sender(start: u64) -> SenderKey {
@@ -178,6 +222,31 @@ mod tests {
             books.trained += 1;
             assert_eq!(books.check(), Ok(()));
         }
+    }
+
+    #[test]
+    fn starts_that_are_gone_take_no_room_and_stay_in_the_sum() {
+        let mut books = entered(3);
+        books.superseded = 3;
+        // Names as long as they may be.
+        let name = ActorId::new("x".repeat(48)).unwrap();
+        for start in 2..100_000 {
+            let sender = (name.clone(), Incarnation(u64::MAX - start));
+            books.enter(&sender, Sequence(1));
+            books.superseded += 1;
+            books.fold(|known| *known == sender);
+            assert_eq!(books.sequence(&sender), Sequence(1));
+        }
+        assert_eq!((books.published, books.check()), (100_001, Ok(())));
+        assert_eq!(books.sequence(&self::sender(1)), Sequence(3), "who sent most goes last");
+        assert!(books.sequences.len() <= MAX_STARTS);
+        assert!(codec::encode(&books).unwrap().len() < RECORDS_BYTES);
+        // One that is known stays, whatever it sent.
+        books.fold(|_| true);
+        let n_known = books.sequences.len();
+        (0..MAX_STARTS as u64).for_each(|start| books.enter(&sender(start + 9), Sequence(1)));
+        books.fold(|_| true);
+        assert_eq!(books.sequences.len(), n_known + MAX_STARTS);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use leadtime_ppo::LearnerSettings;
 use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
 use leadtime_proto::{RunName, RunSpec};
 
+use crate::books::Books;
 use crate::builds::{Build, Builds};
 
 /// Everything about a run that its learner must know.
@@ -51,8 +52,11 @@ impl LearnerConfig {
         self.settings.n_envs as u64 * self.settings.n_steps as u64
     }
 
-    /// Returns whether the same seed would give the same bits, if these are all who computed the run.
-    pub(crate) fn is_reproducible(&self, builds: &Builds) -> bool {
-        builds.is_uniform() && self.settings.schedule().is_deterministic()
+    /// Returns whether the same seed would give the same bits, if these are all who computed the run, and this is what became of
+    /// their rollouts.
+    pub(crate) fn is_reproducible(&self, builds: &Builds, books: &Books) -> bool {
+        builds.is_uniform()
+            && self.settings.schedule().is_deterministic()
+            && !books.has_fresh_episodes()
     }
 }

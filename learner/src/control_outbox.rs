@@ -1,6 +1,6 @@
 //! Control messages to actors, one at a time and in order per actor, off the learner's loop.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -18,6 +18,9 @@ use crate::roster::MembershipNumber;
 const QUEUED: usize = 64;
 /// How long an actor may take to acknowledge a message.
 const ACK_TIMEOUT: Duration = Duration::from_secs(3);
+/// How long it may take if it has to restore snapshots first: a world in Python may replay whole episodes. An actor that is gone is
+/// noticed without it, by its presence, and one that others wait for by its lateness.
+const RESTORE_TIMEOUT: Duration = Duration::from_mins(2);
 /// How often a message is sent before the actor is given up.
 const ATTEMPTS: usize = 2;
 /// The most outcomes that wait to be noticed.
@@ -26,8 +29,10 @@ const QUEUED_OUTCOMES: usize = 256;
 /// What came of a control message.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum ControlOutcome {
-    /// The actor answered in this membership, and follows.
+    /// The actor answered in this membership.
     Answered(SenderKey, MembershipNumber),
+    /// The actor follows the assignment that it was given in this membership.
+    Followed(SenderKey, MembershipNumber, Epoch),
     /// The actor did not answer in this membership.
     Silent(SenderKey, MembershipNumber),
     /// The actor follows the assignment except for environments that it cannot restore.
@@ -61,7 +66,8 @@ impl ControlOutbox {
         Self { link, couriers: BTreeMap::new(), told, outcomes }
     }
 
-    /// Queues a message. Returns whether there was room: an actor that acknowledges none has none.
+    /// Queues a message. Returns whether there was room: an actor that acknowledges none has none. An order to leave waits for no
+    /// other one, for it makes all of them void.
     pub(crate) fn send(
         &mut self,
         to: &SenderKey,
@@ -76,8 +82,8 @@ impl ControlOutbox {
             Courier { membership, messages: Some(messages), task }
         };
         let courier = self.couriers.entry(to.clone()).or_insert_with(start);
-        if courier.membership != membership {
-            // What was ordered before the actor was lost is void.
+        if courier.membership != membership || matches!(control, Control::Stop { .. }) {
+            // What was ordered before the actor was lost is void, too.
             courier.task.abort();
             *courier = start();
         }
@@ -104,8 +110,9 @@ async fn deliver(
     told: mpsc::Sender<ControlOutcome>,
 ) {
     while let Some(control) = messages.recv().await {
+        let timeout = timeout_of(&control);
         for attempt in 1..=ATTEMPTS {
-            match link.control(&to.0, to.1, &control, ACK_TIMEOUT).await {
+            match link.control(&to.0, to.1, &control, timeout).await {
                 Ok(reply) => {
                     drop(told.send(outcome(&to, membership, &control, reply)).await);
                     break;
@@ -122,19 +129,36 @@ async fn deliver(
     }
 }
 
+/// Returns how long an actor may take to acknowledge a message: an assignment is answered when its environments are ready.
+fn timeout_of(control: &Control) -> Duration {
+    let restores =
+        |assignment: &Assignment| assignment.envs.iter().any(|env| !env.snapshot.is_empty());
+    match control {
+        Control::Assign(assignment) if restores(assignment) => RESTORE_TIMEOUT,
+        Control::Assign(_) | Control::Wait | Control::Stop { .. } => ACK_TIMEOUT,
+    }
+}
+
 /// Compares an answer with the message. Orders are sent one at a time and in order, so an actor that takes them from this
-/// learner alone follows the one that it answers.
+/// learner alone follows the one that it answers, and has trouble with environments that this one gave.
 fn outcome(
     to: &SenderKey,
     membership: MembershipNumber,
     control: &Control,
     reply: ControlReply,
 ) -> ControlOutcome {
-    let followed = ControlOutcome::Answered(to.clone(), membership);
-    let Control::Assign(Assignment { epoch: ordered, .. }) = control else { return followed };
+    let Control::Assign(Assignment { epoch: ordered, envs: given, .. }) = control else {
+        return ControlOutcome::Answered(to.clone(), membership);
+    };
     match reply {
-        ControlReply::Followed { epoch } if epoch == *ordered => followed,
-        ControlReply::CannotRestore { epoch, envs } if epoch == *ordered => {
+        ControlReply::Followed { epoch } if epoch == *ordered => {
+            ControlOutcome::Followed(to.clone(), membership, epoch)
+        }
+        ControlReply::CannotRestore { epoch, envs: named } if epoch == *ordered => {
+            // Whatever it names, and however often: no more than was given comes of it.
+            let named: BTreeSet<EnvId> = named.into_iter().collect();
+            let given = given.iter().map(|env| env.env_id);
+            let envs = given.filter(|env_id| named.contains(env_id)).collect();
             ControlOutcome::CannotRestore(to.clone(), epoch, envs)
         }
         ControlReply::Followed { epoch } | ControlReply::CannotRestore { epoch, .. } => {
@@ -148,27 +172,51 @@ mod tests {
     use leadtime_proto::{ActorId, Incarnation};
 
     use super::*;
+    use crate::rollout_queue::RolloutQueue;
 
     #[test]
     fn an_answer_about_another_assignment_does_not_count_as_followed() {
         let key = (ActorId::new("a").unwrap(), Incarnation(1));
         let membership = MembershipNumber::default();
-        let order =
-            Control::Assign(Assignment { epoch: Epoch(7), envs: Vec::new(), keep: Vec::new() });
+        let order = Control::Assign(Assignment {
+            epoch: Epoch(7),
+            envs: RolloutQueue::beginning(4),
+            keep: Vec::new(),
+        });
         let heard = |control: &Control, reply| outcome(&key, membership, control, reply);
         let followed = |epoch| ControlReply::Followed { epoch: Epoch(epoch) };
         let cannot =
             |epoch| ControlReply::CannotRestore { epoch: Epoch(epoch), envs: vec![EnvId(3)] };
         let astray = |epoch| ControlOutcome::Astray(key.clone(), membership, Epoch(epoch));
         let answered = || ControlOutcome::Answered(key.clone(), membership);
-        assert_eq!(heard(&order, followed(7)), answered());
+        let follows = ControlOutcome::Followed(key.clone(), membership, Epoch(7));
+        assert_eq!(heard(&order, followed(7)), follows);
         assert_eq!(heard(&order, followed(u64::MAX)), astray(u64::MAX));
         assert_eq!(heard(&order, followed(6)), astray(6));
         assert_eq!(heard(&order, cannot(8)), astray(8));
         let known = ControlOutcome::CannotRestore(key.clone(), Epoch(7), vec![EnvId(3)]);
         assert_eq!(heard(&order, cannot(7)), known);
+        let envs = [9, 3, 3].map(EnvId).to_vec();
+        let odd = ControlReply::CannotRestore { epoch: Epoch(7), envs };
+        assert_eq!(heard(&order, odd), known, "what was given, and once");
         let stop = Control::Stop { reason: String::new(), cut_off: false };
         assert_eq!(heard(&stop, followed(6)), answered());
         assert_eq!(heard(&Control::Wait, followed(6)), answered());
+    }
+
+    #[test]
+    fn an_actor_that_has_to_restore_snapshots_has_time_for_it() {
+        let assign = |snapshot: &[u8]| {
+            let mut envs = RolloutQueue::beginning(2);
+            envs[1].snapshot = snapshot.to_vec();
+            Control::Assign(Assignment { epoch: Epoch(1), envs, keep: Vec::new() })
+        };
+        // Sixteen environments in Python may take 70 s.
+        assert!(timeout_of(&assign(b"state")) > Duration::from_secs(70));
+        // Nothing else takes an actor long, and whoever does not answer holds up the run.
+        let stop = Control::Stop { reason: String::new(), cut_off: false };
+        for control in [assign(b""), Control::Wait, stop] {
+            assert_eq!(timeout_of(&control), ACK_TIMEOUT);
+        }
     }
 }

@@ -42,8 +42,11 @@ const MAX_ASTRAY: u32 = 3;
 /// Ticks without a rollout after which a member that says hello, and has nothing on its way, does not have the environments
 /// that it was given: a little less than an actor without environments waits before it says so.
 const IDLE_TICKS: u64 = 16;
+const DOUBTED: &str =
+    "an actor cannot restore the state that it sent, and no other one was there to try";
 const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
-/// The most bytes of snapshots in one assignment; more environments go into a second one.
+/// The most bytes of snapshots in one assignment; more environments go into a second one. A checkpoint has to hold the snapshots of
+/// all environments, so there are fewer parts than messages may wait for an actor.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
 /// The most rollouts that an actor holds unacknowledged: a window, and one of every environment on top.
 const MAX_UNACKNOWLEDGED: u64 = limits::MAX_WINDOW as u64 + limits::MAX_ENVS as u64;
@@ -108,7 +111,8 @@ pub enum Effect {
 pub enum HelloRefusal {
     /// The actor was cut off.
     #[error(
-        "this actor was cut off because it kept sending messages that were refused: restart it"
+        "this actor was cut off, because what it sent was refused or could not be restored (the learner's log says more): \
+         restart it"
     )]
     CutOff,
     /// Another incarnation is connected; reported as `HelloReply::Taken`.
@@ -231,6 +235,15 @@ impl Coordinator {
             self.n_losers += usize::from(known == Sequence(0));
             let n_steps = u64::from(self.settings.spec.n_steps);
             self.books.roll_back_through(key, heard, n_steps);
+            self.fold_books(known);
+        }
+    }
+
+    /// Keeps the books short if a sender is new in them, whose sequence was `known`.
+    fn fold_books(&mut self, known: Sequence) {
+        if known == Sequence(0) {
+            let roster = &self.roster;
+            self.books.fold(|key| roster.knows(key));
         }
     }
 
@@ -240,6 +253,7 @@ impl Coordinator {
         let n_quiet_ticks = self.roster.sender(key).map_or(0, |sender| sender.newest().1);
         if n_quiet_ticks >= IDLE_TICKS
             && self.stage == RunStage::Running
+            && !self.stragglers.is_restoring(&key.0)
             && let Some(change) = self.assigner.renew(&key.0)
         {
             self.assign(change);
@@ -305,6 +319,14 @@ impl Coordinator {
         }
     }
 
+    /// Notes that an actor follows the assignment that it was given: its environments are ready.
+    pub fn followed(&mut self, key: &SenderKey, membership: MembershipNumber, epoch: Epoch) {
+        if self.is_current(key, membership) {
+            self.stragglers.restored(&key.0, epoch);
+        }
+        self.answered(key, membership);
+    }
+
     /// Notes that an actor acknowledged no message of this membership: it is given up, unless it has come back meanwhile.
     pub fn silent(&mut self, key: &SenderKey, membership: MembershipNumber) {
         if self.is_current(key, membership) {
@@ -319,7 +341,7 @@ impl Coordinator {
         }
     }
 
-    /// Gives a member that follows somebody else's assignment its environments again, under a higher number. If
+    /// Gives a member that follows somebody else's assignment its environments again, under a number of its own that is higher. If
     /// there is none, or that has not helped, its membership ends: it says hello when it gets no credit, and starts over.
     fn call_back(&mut self, key: &SenderKey, told: Epoch) {
         let Some(sender) = self.roster.sender(key) else { return };
@@ -418,6 +440,7 @@ impl Coordinator {
         let made_before = header.sequence <= made_before;
         // Entered before it is read: a refused rollout is acknowledged too, or its sender would send it again for ever.
         self.books.enter(&key, header.sequence);
+        self.fold_books(heard);
         if made_before {
             return self.supersede();
         }
@@ -502,18 +525,26 @@ impl Coordinator {
     /// Notes that an actor cannot restore the snapshots of some environments.
     ///
     /// The fault may be its own (another build, say), so an environment goes to one actor after the other. If none can
-    /// restore it the snapshot is given up, and its sender is cut off.
+    /// restore it the snapshot is given up. Its sender is cut off if two actors say so, and trusted less on the word of one.
     pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, envs: &[EnvId]) {
+        if self.roster.is_member(key) {
+            self.stragglers.restored(&key.0, epoch);
+        }
+        // Each once, and none of an assignment that is over: the answer is anybody's.
+        let envs = envs.iter().copied();
+        let envs: BTreeSet<EnvId> =
+            envs.filter(|&env_id| self.assigner.owns(key, epoch, env_id)).collect();
+        if self.stage == RunStage::Closing || envs.is_empty() {
+            return;
+        }
         let mut counts = self.assigner.counts(self.roster.members());
         let (mut moves, mut authors) = (Vec::new(), BTreeMap::new());
-        for &env_id in envs {
-            if !self.assigner.owns(key, epoch, env_id) || self.stage == RunStage::Closing {
-                continue; // About an assignment that is over.
-            }
+        for env_id in envs {
             let actor = key.0.clone();
             self.tell(RunEvent::SnapshotRefused { actor, env_id });
             // A member that may have no environments at present is not asked: its failure would prove nothing.
             let doubters = self.queue.doubt(env_id, &key.0);
+            let n_doubters = doubters.len();
             let (roster, stragglers) = (&self.roster, &self.stragglers);
             let may_try = |other: &ActorId| {
                 !doubters.contains(other) && max_envs(roster, stragglers, other) > 0
@@ -527,16 +558,28 @@ impl Coordinator {
             moves.push((env_id, key.clone()));
             // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
             if let Some(author) = self.give_up_snapshot(env_id).filter(|author| author != key) {
-                authors.insert(author, env_id);
+                let most = authors.entry(author).or_insert((n_doubters, env_id));
+                *most = (*most).max((n_doubters, env_id));
             }
         }
         let changes = self.assigner.hand_over(moves);
         self.assign_all(changes);
-        for (author, env_id) in authors {
+        for (author, (n_doubters, env_id)) in authors {
+            self.blame(&author, n_doubters, env_id);
+        }
+    }
+
+    /// Holds a snapshot that was given up against its sender.
+    fn blame(&mut self, author: &SenderKey, n_doubters: usize, env_id: EnvId) {
+        if n_doubters > 1 {
             let reason = format!(
                 "nobody can restore the state that it sent of environment {env_id}: run the learner's build"
             );
-            self.cut_off(&author, reason);
+            self.cut_off(author, reason);
+        } else if self.stragglers.fail(&author.0, 0) {
+            // The one who says so may be a stranger, or run another build.
+            self.rebalance_due = true;
+            self.tell(RunEvent::Distrusted { actor: author.0.clone(), reason: DOUBTED });
         }
     }
 
@@ -551,7 +594,7 @@ impl Coordinator {
                 Some(author)
             }
             Recovery::FreshEpisode(author) => {
-                self.books.refuse(RefusalCause::Snapshot, false);
+                self.books.refuse(RefusalCause::FreshEpisode, false);
                 author
             }
         }
@@ -789,6 +832,10 @@ impl Coordinator {
     /// Makes an actor a member if it may be one. Only then does its build count: a hello alone computes nothing.
     fn admit(&mut self, key: &SenderKey) {
         let Some(build) = self.roster.admit(key) else { return };
+        if let Some(ordered) = self.roster.sender(key).map(|sender| sender.ordered) {
+            // It may have been overruled in an earlier membership: it follows no lower number.
+            self.assigner.count_on_from(&key.0, ordered);
+        }
         if self.builds.note(&build) {
             let actor = Some(key.0.clone());
             self.tell(RunEvent::OtherBuild { actor, build });
@@ -808,6 +855,7 @@ impl Coordinator {
 
     fn lose(&mut self, actor: &ActorId) {
         let n_envs = self.assigner.release(actor);
+        self.stragglers.left(actor);
         if self.stage != RunStage::Closing {
             self.books.steps_redone += n_envs as u64 * u64::from(self.settings.spec.n_steps);
         }
@@ -857,14 +905,19 @@ impl Coordinator {
         let Some(membership) = self.roster.membership(&to) else { return };
         let (n_given, n_kept) = (given.len(), kept.len());
         self.tell(RunEvent::Assigned { actor: actor.clone(), epoch, n_given, n_kept });
+        let mut n_snapshots = 0;
         for (index, envs) in self.parts(&given).into_iter().enumerate() {
             if index > 0 {
-                epoch = self.assigner.next_epoch();
+                epoch = self.assigner.next_epoch(&actor);
             }
+            n_snapshots += envs.iter().filter(|env| !env.snapshot.is_empty()).count();
             let keep = kept.clone();
             kept.extend(envs.iter().map(|env| env.env_id));
             let control = Control::Assign(Assignment { epoch, envs, keep });
             self.effects.push(Effect::Control { to: to.clone(), membership, control });
+        }
+        if n_snapshots > 0 {
+            self.stragglers.restores(&actor, epoch, n_snapshots);
         }
         if let Some(sender) = self.roster.sender(&to) {
             sender.ordered = epoch;

@@ -69,8 +69,8 @@ pub(crate) fn report(
         episodes: record.episodes.means(),
         staleness: record.staleness,
         balance: books.check(),
+        reproducible: config.is_reproducible(&builds, &books),
         books,
-        reproducible: config.is_reproducible(&builds),
         builds,
     })
 }

@@ -126,6 +126,11 @@ pub(crate) struct Roster {
 }
 
 impl Roster {
+    /// Returns whether a sender has said hello to this start of the learner, and is not forgotten.
+    pub(crate) fn knows(&self, key: &SenderKey) -> bool {
+        self.senders.contains_key(key)
+    }
+
     /// Returns a sender that has said hello to this start of the learner.
     pub(crate) fn sender(&mut self, key: &SenderKey) -> Option<&mut SenderState> {
         self.senders.get_mut(key)

@@ -300,6 +300,9 @@ impl RunLoop {
             ControlOutcome::Answered(key, membership) => {
                 self.coordinator.answered(&key, membership);
             }
+            ControlOutcome::Followed(key, membership, epoch) => {
+                self.coordinator.followed(&key, membership, epoch);
+            }
             ControlOutcome::Silent(key, membership) => self.coordinator.silent(&key, membership),
             ControlOutcome::CannotRestore(key, epoch, envs) => {
                 self.coordinator.cannot_restore(&key, epoch, &envs);

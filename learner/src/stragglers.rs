@@ -5,6 +5,9 @@
 //! or with all of them late, waits are reported and nothing is taken away. Which member steps an environment changes no
 //! bit of the run, so a wrong guess here costs time and nothing else.
 //!
+//! Restoring takes time, with environments in Python several seconds each. As long as a member has not answered the order with
+//! the snapshots, it is not late, up to [`RESTORE_TICKS`].
+//!
 //! # Invariants
 //!
 //! * Every failure of a name doubles the time until it is trusted again, up to [`MAX_BACK_OFF`]; trust comes back in
@@ -12,7 +15,7 @@
 
 use std::collections::BTreeMap;
 
-use leadtime_proto::ActorId;
+use leadtime_proto::{ActorId, Epoch};
 
 /// Ticks that the run waits for a member before that is reported.
 const REPORT_AFTER: u32 = 6;
@@ -20,6 +23,8 @@ const REPORT_AFTER: u32 = 6;
 const REPORT_EVERY: u32 = 60;
 /// Ticks that a member may be behind the others before it loses its environments.
 const TAKE_AFTER: u32 = 12;
+/// Ticks that a member may take to restore a snapshot, and at most to restore all that it is given at once.
+const RESTORE_TICKS: (u32, u32) = (16, 240);
 /// How many times as long as the others a member may take, where that is more.
 const PATIENCE: u32 = 3;
 /// What an update is assumed to take before the first one, in ticks.
@@ -55,7 +60,28 @@ struct Wait {
     /// Those of them in which another member had done its part.
     n_late: u32,
     n_late_in_window: u32,
+    /// Those in which it would have been late if it had not been restoring.
+    n_excused: u32,
     has_delivered: bool,
+    restoring: Option<Restoring>,
+}
+
+/// An order with snapshots that is not answered yet.
+#[derive(Clone, Copy, Debug)]
+struct Restoring {
+    epoch: Epoch,
+    /// In so many ticks more its member is not late.
+    ticks_left: u32,
+}
+
+impl Wait {
+    /// Returns whether the member is excused for a tick because it is restoring, and uses that tick up.
+    fn excuse(&mut self) -> bool {
+        let Some(restoring) = &mut self.restoring else { return false };
+        let is_excused = restoring.ticks_left > 0;
+        restoring.ticks_left = restoring.ticks_left.saturating_sub(1);
+        is_excused
+    }
 }
 
 /// What a name that has failed may have.
@@ -94,18 +120,46 @@ impl Stragglers {
         self.waits.retain(|actor, _| held.contains_key(actor));
         for (actor, &n_held) in held {
             let wait = self.waits.entry(actor.clone()).or_default();
-            // Another number can mean snapshots to restore first, so patience begins anew.
+            // Another number means other work, so patience begins anew.
             if wait.n_held != n_held {
-                *wait = Wait { n_held, ..Wait::default() };
+                *wait = Wait { n_held, restoring: wait.restoring, ..Wait::default() };
             }
         }
         self.start_window();
     }
 
+    /// Notes that a member is given snapshots, which it has to restore before it answers.
+    pub(crate) fn restores(&mut self, actor: &ActorId, epoch: Epoch, n_snapshots: usize) {
+        let n_snapshots = u32::try_from(n_snapshots).unwrap_or(u32::MAX);
+        let ticks_left = n_snapshots.saturating_mul(RESTORE_TICKS.0).min(RESTORE_TICKS.1);
+        let wait = self.waits.entry(actor.clone()).or_default();
+        wait.restoring = Some(Restoring { epoch, ticks_left });
+    }
+
+    /// Notes that a member has answered an order.
+    pub(crate) fn restored(&mut self, actor: &ActorId, epoch: Epoch) {
+        if let Some(wait) = self.waits.get_mut(actor)
+            && wait.restoring.is_some_and(|restoring| restoring.epoch <= epoch)
+        {
+            wait.restoring = None;
+        }
+    }
+
+    /// Returns whether a member has not answered an order with snapshots yet.
+    pub(crate) fn is_restoring(&self, actor: &ActorId) -> bool {
+        self.waits.get(actor).is_some_and(|wait| wait.restoring.is_some())
+    }
+
+    /// Notes that a member is gone, with all that it was to do.
+    pub(crate) fn left(&mut self, actor: &ActorId) {
+        self.waits.remove(actor);
+    }
+
     /// Notes that a member delivered a rollout.
     pub(crate) fn delivered(&mut self, actor: &ActorId) {
         if let Some(wait) = self.waits.get_mut(actor) {
-            (wait.n_waited, wait.n_late, wait.has_delivered) = (0, 0, true);
+            (wait.n_waited, wait.n_late, wait.n_excused) = (0, 0, 0);
+            wait.has_delivered = true;
         }
     }
 
@@ -180,7 +234,9 @@ impl Stragglers {
                 continue;
             }
             wait.n_waited += 1;
-            let is_late = u32::from(is_in_time);
+            let is_excused = is_in_time && wait.excuse();
+            wait.n_excused += u32::from(is_excused);
+            let is_late = u32::from(is_in_time && !is_excused);
             wait.n_late += is_late;
             wait.n_late_in_window += is_late;
             let overdue = wait.n_waited.checked_sub(report_after);
@@ -198,7 +254,8 @@ impl Stragglers {
         for (actor, wait) in &self.waits {
             // The others' pace: that of the last update, or of this one as far as the member was not what it waited
             // for.
-            let others = self.period.max(self.since_update.saturating_sub(wait.n_late));
+            let waited_for = wait.n_late + wait.n_excused;
+            let others = self.period.max(self.since_update.saturating_sub(waited_for));
             if wait.n_late > TAKE_AFTER.max(PATIENCE * others) {
                 behind.push((actor.clone(), 0));
             }
@@ -220,10 +277,12 @@ impl Stragglers {
 
     /// Gives trust back where it is due. Returns whether anybody got some.
     fn raise(&mut self) -> bool {
-        let (now, n_envs) = (self.now, self.n_envs);
+        let (now, n_envs, waits) = (self.now, self.n_envs, &self.waits);
         let mut raised = false;
-        self.probations.retain(|_, probation| {
-            if probation.raised_at <= now {
+        self.probations.retain(|actor, probation| {
+            // Who still owes an answer would get no further order.
+            let is_restoring = waits.get(actor).is_some_and(|wait| wait.restoring.is_some());
+            if probation.raised_at <= now && !is_restoring {
                 raised = true;
                 probation.max_envs = (2 * probation.max_envs).max(1);
                 probation.raised_at = now + back_off(probation.n_failures);
@@ -287,6 +346,38 @@ mod tests {
         let found = ticks(&mut s, 100, |_, _| lacking.clone());
         assert_eq!(found, Some((TAKE_AFTER + 1 - REPORT_AFTER, id("mute"))));
         assert_eq!((s.max_envs(&id("mute")), s.max_envs(&id("a"))), (0, usize::MAX));
+    }
+
+    #[test]
+    fn a_member_that_restores_is_late_only_after_the_time_that_its_snapshots_may_take() {
+        let lacking = counts(&[("slow", 4)]);
+        let restoring = |n_snapshots| {
+            let mut s = stragglers(&[("a", 4), ("slow", 4)]);
+            s.restores(&id("slow"), Epoch(3), n_snapshots);
+            s
+        };
+        for (n_snapshots, n_ticks) in [(4, 4 * RESTORE_TICKS.0), (4_000, RESTORE_TICKS.1)] {
+            let found = ticks(&mut restoring(n_snapshots), 1_000, |_, _| lacking.clone());
+            assert_eq!(found, Some((n_ticks + TAKE_AFTER + 1, id("slow"))));
+        }
+        // Once it has answered, it is compared with the others again.
+        let mut s = restoring(4);
+        let found = ticks(&mut s, 1_000, |tick, s| {
+            if tick == 20 {
+                s.restored(&id("slow"), Epoch(2));
+                assert!(s.is_restoring(&id("slow")), "an earlier order");
+                s.restored(&id("slow"), Epoch(3));
+            }
+            lacking.clone()
+        });
+        assert_eq!(found, Some((19 + TAKE_AFTER + 1, id("slow"))));
+        // And who does not answer gets nothing more.
+        let mut s = restoring(1);
+        assert!(ticks(&mut s, 1_000, |_, _| lacking.clone()).is_some());
+        s.assigned(&counts(&[("a", 8), ("slow", 0)]));
+        assert!((0..1_000).all(|_| s.tick(&BTreeMap::new()).is_empty()));
+        s.restored(&id("slow"), Epoch(3));
+        assert_eq!(s.tick(&BTreeMap::new()), [Lateness::Trusted]);
     }
 
     #[test]

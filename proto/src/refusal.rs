@@ -96,8 +96,11 @@ causes! {
     Snapshot = "snapshot",
     /// A number that no environment and no policy comes to.
     Magnitude = "magnitude",
-    /// A message that does not prove which process it comes from. Last, because checkpoints hold causes by their order.
+    /// A message that does not prove which process it comes from.
     Proof = "proof",
+    /// A state that no actor could restore, of a rollout that is trained: a fresh episode takes the place of the one that went on
+    /// there. New causes come last, because checkpoints hold causes by their order.
+    FreshEpisode = "fresh_episode",
 }
 
 impl fmt::Display for RefusalCause {

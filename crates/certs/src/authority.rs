@@ -29,6 +29,10 @@ const CLOCK_SKEW: Duration = Duration::from_mins(5);
 
 /// In the keys of a notifier it stands beside the names of clients, and can be none of them.
 const NO_ROBOT: &str = "alive";
+
+/// The file that is written when certificates were renewed, after the last of them: who has to read new ones watches this.
+const STAMP: &str = "renewed";
+
 /// What a damaged file of serial numbers holds, and what helps.
 const NO_SERIAL: &str = "no serial number: write the highest number of its certificates into it \
                          (`leadtime certs show`)";
@@ -65,7 +69,7 @@ pub struct Authority {
     directory: PathBuf,
     ends: Timestamp,
     issuer: Issuer<'static, KeyPair>,
-    /// Holds the last serial number, and the lock.
+    /// Holds the last serial number, and the lock; open to be read.
     serial: File,
 }
 
@@ -215,7 +219,8 @@ impl Authority {
     }
 
     /// Renews the certificates that end within `before`: for the same role, hosts and time, and for the same key, which
-    /// need not be here. Those that [`Authority::list`] leaves out stay as they are.
+    /// need not be here. Those that [`Authority::list`] leaves out stay as they are. If there are any, the file `renewed` is
+    /// written at the end; without any nothing is.
     ///
     /// # Errors
     ///
@@ -228,16 +233,26 @@ impl Authority {
         // Before the first of them is made.
         renewed.iter().try_for_each(|issued| self.check_key(&issued.name))?;
         let mut made = Vec::new();
-        for Issued { role, name, path, certificate: old } in renewed {
-            let key = SubjectPublicKeyInfo::from_der(&old.public_key)?;
-            let lifetime = Duration::try_from(old.ends.duration_since(old.begins));
-            let lifetime = lifetime.map_err(|_negative| Error::Lifetime)?;
-            let lifetime = lifetime.saturating_sub(CLOCK_SKEW).max(Duration::from_secs(1));
-            let pem = self.sign(role, &name, &old.hosts, lifetime, now, &key)?;
-            files::write(&path, &pem, Readers::Everybody, Durability::Flushed)?;
-            made.push(Issued { role, certificate: Certificate::read(&path)?, name, path });
+        let all_made: Result<()> = renewed.into_iter().try_for_each(|issued| {
+            made.push(self.renew_one(issued, now)?);
+            Ok(())
+        });
+        if !made.is_empty() {
+            let (stamp, text) = (self.directory.join(STAMP), format!("{now}\n"));
+            files::write(&stamp, &text, Readers::Everybody, Durability::Eventual)?;
         }
-        Ok(made)
+        all_made.map(|()| made)
+    }
+
+    fn renew_one(&mut self, issued: Issued, now: Timestamp) -> Result<Issued> {
+        let Issued { role, name, path, certificate: old } = issued;
+        let key = SubjectPublicKeyInfo::from_der(&old.public_key)?;
+        let lifetime = Duration::try_from(old.ends.duration_since(old.begins));
+        let lifetime = lifetime.map_err(|_negative| Error::Lifetime)?;
+        let lifetime = lifetime.saturating_sub(CLOCK_SKEW).max(Duration::from_secs(1));
+        let pem = self.sign(role, &name, &old.hosts, lifetime, now, &key)?;
+        files::write(&path, &pem, Readers::Everybody, Durability::Flushed)?;
+        Ok(Issued { role, certificate: Certificate::read(&path)?, name, path })
     }
 
     /// Refuses a file in the place of a key that holds no key: its certificate would be renewed for nothing.
@@ -326,10 +341,10 @@ impl Authority {
         let last = if last.is_empty() { Ok(0) } else { last.parse::<u64>() };
         let next = last.ok().and_then(|last| last.checked_add(1));
         let next = next.ok_or_else(|| content(&path)(NO_SERIAL.to_owned()))?;
-        let mut write = || {
-            self.serial.rewind()?;
+        let write = || {
             // A number never has fewer digits than the one before it.
-            self.serial.write_all(format!("{next}\n").as_bytes())
+            let mut file = File::options().write(true).open(&path)?;
+            file.write_all(format!("{next}\n").as_bytes())
         };
         write().map_err(failed("write", &path))?;
         Ok(next)

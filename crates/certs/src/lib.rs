@@ -5,6 +5,7 @@
 //! ```text
 //! DIR/ca.pem  ca.key  serial       the authority: its certificate, its key (0600), the last serial number
 //! DIR/a7.pem  a7.key               one process: the role is the subject's unit, the name its common name
+//! DIR/renewed                      when certificates were last renewed: written after the last of them
 //! ```
 //!
 //! # Invariants

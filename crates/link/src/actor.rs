@@ -43,6 +43,7 @@ use crate::proof::{self, Keyring, PeerKey, StartKey};
 use crate::pubsub::{self, appear, subscribe, take_questions, watch};
 use crate::queue::{Class, EventQueue};
 use crate::redial::ClientSession;
+use crate::told::ToldRefusals;
 use crate::wire::ProvedMessage;
 use crate::{ConnectSettings, ControlResponder, Error, Result, weights, wire};
 
@@ -103,6 +104,7 @@ pub struct ActorLink {
     presence: EventQueue<ActorEvent>,
     latest: Arc<Latest<ActorEvent>>,
     answers: Answers,
+    told: Arc<ToldRefusals>,
     joined: Mutex<Option<Joined>>,
     entered: Mutex<Option<Arc<Membership>>>,
     /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
@@ -137,6 +139,7 @@ impl ActorLink {
             presence: receiver.part_presence(),
             latest,
             answers: Answers::start(N_ANSWERING)?,
+            told: Arc::default(),
             joined: Mutex::default(),
             entered: Mutex::default(),
         };
@@ -391,12 +394,12 @@ impl ActorLink {
         *lock(&self.entered) = None;
         let (session, incarnation) = (&self.session(), self.keys.own.incarnation());
         let (events, answers) = (self.events.clone(), self.answers.clone());
-        let keys = Arc::clone(&self.keys);
+        let (keys, told) = (Arc::clone(&self.keys), Arc::clone(&self.told));
         let orders = take_questions(session, Key::Control(run, &self.actor), move |query| {
-            on_order(&events, &answers, &keys, query);
+            on_order(&events, &answers, &keys, &told, query);
         })?;
         let (latest, keys) = (Arc::clone(&self.latest), Arc::clone(&self.keys));
-        let ours = Arc::clone(&self.learner);
+        let (ours, told) = (Arc::clone(&self.learner), Arc::clone(&self.told));
         let credit = subscribe(session, Key::Credit(run, &self.actor), move |sample| {
             if is_of_another(&ours, &sample) {
                 return;
@@ -413,7 +416,7 @@ impl ActorLink {
                 Err(refusal) if refusal.cause == RefusalCause::Proof => {
                     debug!(%refusal, "credit refused");
                 }
-                Err(refusal) => warn!(%refusal, "credit refused"),
+                Err(refusal) => told.tell("credit", &refusal),
             }
         })?;
         let presence = self.presence.clone();
@@ -467,7 +470,7 @@ impl ActorLink {
         let session = &self.session();
         let rollouts = pubsub::publisher(session, key, wire::BULK, Encoding::default())?;
         let (key, latest) = (Key::Announcement(&run, &domain), Arc::clone(&self.latest));
-        let ours = Arc::clone(&self.learner);
+        let (ours, told) = (Arc::clone(&self.learner), Arc::clone(&self.told));
         let announcements = subscribe(session, key, move |sample| {
             if is_of_another(&ours, &sample) {
                 return;
@@ -477,7 +480,7 @@ impl ActorLink {
                     let key = format!("weights/{}", news.learner);
                     latest.put(&key, ActorEvent::Announcement(news));
                 }
-                Err(refusal) => warn!(%refusal, "announcement refused"),
+                Err(refusal) => told.tell("announcement", &refusal),
             }
         })?;
         *entered =
@@ -506,7 +509,13 @@ fn read_answer(
     Ok((answer.key, answer.message))
 }
 
-fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, mut query: Query) {
+fn on_order(
+    events: &EventQueue<ActorEvent>,
+    answers: &Answers,
+    keys: &Keyring,
+    told: &ToldRefusals,
+    mut query: Query,
+) {
     let say_no = |query, reason| answers.give(PendingReply::Refusal(query, reason));
     let meant_for = query.parameters().get(INCARNATION).and_then(|text| text.parse().ok());
     if meant_for != Some(keys.own.incarnation().0) {
@@ -522,7 +531,7 @@ fn on_order(events: &EventQueue<ActorEvent>, answers: &Answers, keys: &Keyring, 
             drop(events.offer(ActorEvent::Control { learner, control, reply }, Class::Request));
         }
         Err(refusal) => {
-            warn!(%refusal, "order refused");
+            told.tell("order", &refusal);
             say_no(query, refusal.to_string());
         }
     }

@@ -83,6 +83,7 @@ mod session;
 #[path = "../tests/network/support.rs"]
 #[expect(dead_code, reason = "only a part of it is needed here")]
 mod test_support;
+mod told;
 mod weights;
 mod wire;
 

@@ -8,7 +8,6 @@ use std::time::{Duration, Instant};
 use leadtime_proto::message::Announcement;
 use leadtime_proto::receive::{self, ABOUT, HISTORY, METRICS};
 use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
-use tracing::warn;
 use zenoh::sample::{Sample, SampleKind};
 
 use crate::keys::{self, FROM, Key, Keys, Member, POINTS};
@@ -16,6 +15,7 @@ use crate::latest::{Events, Latest};
 use crate::pubsub::{subscribe, watch};
 use crate::queue::{Class, EventQueue};
 use crate::redial::LastingSession;
+use crate::told::ToldRefusals;
 use crate::{ConnectSettings, Result, ask, discovery, weights, wire};
 
 /// Places in the event queue for metrics.
@@ -56,6 +56,7 @@ pub struct ObserverLink {
     events: EventQueue<ObserverEvent>,
     latest: Arc<Latest<ObserverEvent>>,
     n_missed: Arc<AtomicU64>,
+    told: Arc<ToldRefusals>,
     session: Arc<LastingSession>,
 }
 
@@ -69,7 +70,8 @@ impl ObserverLink {
     pub async fn open(settings: &ConnectSettings) -> Result<(Self, Events<ObserverEvent>)> {
         let session = LastingSession::open(settings).await?;
         let (events, latest, receiver) = Events::new(N_BULK);
-        Ok((Self { events, latest, n_missed: Arc::default(), session }, receiver))
+        let (n_missed, told) = (Arc::default(), Arc::default());
+        Ok((Self { events, latest, n_missed, told, session }, receiver))
     }
 
     /// Lists the runs that are there now.
@@ -104,14 +106,16 @@ impl ObserverLink {
     pub fn follow(&self, run: &RunName) -> Result<()> {
         let (run, events) = (run.clone(), self.events.clone());
         let (latest, n_missed) = (Arc::clone(&self.latest), Arc::clone(&self.n_missed));
+        let refusals = Arc::clone(&self.told);
         self.session.subscribe(move |session| {
             let (told, missed) = (events.clone(), Arc::clone(&n_missed));
+            let refused = Arc::clone(&refusals);
             let metrics = subscribe(session, Keys::MetricsOf(&run), move |sample| {
-                on_metrics(&told, &missed, &sample);
+                on_metrics(&told, &missed, &refused, &sample);
             })?;
-            let newest = Arc::clone(&latest);
+            let (newest, refused) = (Arc::clone(&latest), Arc::clone(&refusals));
             let announcements = subscribe(session, Keys::AnnouncementsOf(&run), move |sample| {
-                on_announcement(&newest, &sample);
+                on_announcement(&newest, &refused, &sample);
             })?;
             let told = events.clone();
             let members = watch(session, Keys::MembersOf(&run), move |alive, kind| {
@@ -194,7 +198,12 @@ impl ObserverLink {
     }
 }
 
-fn on_metrics(events: &EventQueue<ObserverEvent>, missed: &AtomicU64, sample: &Sample) {
+fn on_metrics(
+    events: &EventQueue<ObserverEvent>,
+    missed: &AtomicU64,
+    refused: &ToldRefusals,
+    sample: &Sample,
+) {
     let Some(member) = keys::parse_metrics(sample.key_expr()) else { return };
     let json = sample.payload().to_bytes();
     let checked = wire::inspect(sample.attachment(), Some(sample.payload()), METRICS)
@@ -206,18 +215,18 @@ fn on_metrics(events: &EventQueue<ObserverEvent>, missed: &AtomicU64, sample: &S
                 missed.fetch_add(1, Ordering::Relaxed);
             }
         }
-        Err(refusal) => warn!(%refusal, "metrics refused"),
+        Err(refusal) => refused.tell("metrics", &refusal),
     }
 }
 
-fn on_announcement(latest: &Latest<ObserverEvent>, sample: &Sample) {
+fn on_announcement(latest: &Latest<ObserverEvent>, refused: &ToldRefusals, sample: &Sample) {
     let Some(domain) = keys::parse_announcement(sample.key_expr()) else { return };
     match weights::read_announcement(sample) {
         Ok(announcement) => {
             let key = domain.to_string();
             latest.put(&key, ObserverEvent::Announcement { domain, announcement });
         }
-        Err(refusal) => warn!(%refusal, "announcement refused"),
+        Err(refusal) => refused.tell("announcement", &refusal),
     }
 }
 

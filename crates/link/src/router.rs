@@ -56,10 +56,22 @@ impl RouterLink {
         self.relay.as_ref().map(Relay::counts).unwrap_or_default()
     }
 
-    /// Counts the routers and the other processes that are connected now.
-    pub async fn n_connected(&self) -> (usize, usize) {
+    /// Counts the routers that are connected now: those that this one has dialled, and those that have dialled it.
+    pub async fn n_routers(&self) -> (usize, usize) {
         let info = self.session.info();
-        (info.routers_zid().await.count(), info.peers_zid().await.count())
+        let routers: Vec<_> = info.routers_zid().await.collect();
+        let links: Vec<_> = info.links().await.collect();
+        let is_accepted = |source: &str| self.locators.iter().any(|own| door(own) == door(source));
+        let (mut n_above, mut n_below) = (0, 0);
+        for router in routers {
+            let mut links = links.iter().filter(|link| *link.zid() == router);
+            if links.any(|link| !is_accepted(&link.src().to_string())) {
+                n_above += 1;
+            } else {
+                n_below += 1;
+            }
+        }
+        (n_above, n_below)
     }
 
     /// Checks that the router can still be reached. Call it regularly: no event reports that it cannot.
@@ -78,5 +90,33 @@ impl RouterLink {
     /// [`Error::Close`] if it takes too long.
     pub async fn close(&self) -> Result<()> {
         session::close(&self.session).await
+    }
+}
+
+/// Returns what this end of a connection has in common with the address that accepted it: the protocol, with a socket's path or else
+/// the port. Who dials has a port, or a path, of its own.
+fn door(locator: &str) -> (&str, &str) {
+    let (protocol, rest) = locator.split_once('/').unwrap_or((locator, ""));
+    let address = rest.split(['?', '#']).next().unwrap_or_default();
+    let port = address.rsplit_once(':').filter(|_| !address.starts_with('/'));
+    (protocol, port.map_or(address, |(_, port)| port))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_accepted_connection_ends_at_the_door_where_somebody_listens() {
+        for (listens, source, is_accepted) in [
+            ("tcp/10.0.0.1:7447", "tcp/10.0.0.2:7447", true),
+            ("tls/[::]:7447", "tls/[fe80::1]:7447", true),
+            ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:40404", false),
+            ("tls/10.0.0.1:7447", "tcp/10.0.0.1:7447", false),
+            ("unixsock-stream//run/r:1", "unixsock-stream//run/r:1", true),
+            ("unixsock-stream//run/r:1", "unixsock-stream/0b8c-77", false),
+        ] {
+            assert_eq!(door(listens) == door(source), is_accepted, "{source} at {listens}");
+        }
     }
 }

@@ -23,7 +23,7 @@ pub const MAX_EVALUATIONS: u32 = 1_000;
 pub const MAX_WAITING: usize = 2;
 
 /// What the last training episodes, the evaluations and the books take, in bytes.
-const RECORDS_BYTES: usize = 256 << 10;
+pub const RECORDS_BYTES: usize = 256 << 10;
 /// Room next to an environment's snapshot: ids, counts, lengths.
 const ENV_BYTES: usize = 256;
 

@@ -136,7 +136,7 @@ pub struct RunResult {
     /// SHA-256 over the final parameters, in hexadecimal: equal for equal seeds in `sync` and `lag`.
     pub weights_sha256: String,
     /// Whether the same seed (and origin) would give the same bits again: a deterministic schedule, one build of the
-    /// program, one class of CPU.
+    /// program, one class of CPU, and no episode that was replaced because nobody could restore it.
     pub reproducible: bool,
     /// The books, as JSON.
     pub books: serde_json::Value,

@@ -40,9 +40,9 @@ pub(super) async fn run(args: &RouterArgs) -> Result<(), Failure> {
         if settings.connect.is_empty() {
             continue;
         }
-        let (n_routers, _) = router.n_connected().await;
-        if is_linked != (n_routers > 0) {
-            is_linked = n_routers > 0;
+        let (n_above, _) = router.n_routers().await;
+        if is_linked != (n_above > 0) {
+            is_linked = n_above > 0;
             if is_linked {
                 tracing::info!("connected to the router at {above}");
             } else {

@@ -7,6 +7,8 @@ use crate::stragglers::BACK_OFF;
 
 use super::*;
 
+mod strangers;
+
 const WINDOW: u32 = 4;
 
 /// A run that begins when all of these actors are there, which they are.
@@ -717,6 +719,7 @@ fn a_snapshot_that_nobody_restores_is_given_up_and_its_sender_cut_off() {
     c.trained(PolicyVersion(1));
     let books = close_balanced(&mut c);
     assert_eq!((books.refused, books.refusals[&RefusalCause::Snapshot]), (1, 1));
+    assert!(!books.has_fresh_episodes(), "the same is made again");
 }
 
 #[test]
@@ -731,7 +734,9 @@ fn a_snapshot_of_a_checkpoint_that_the_only_actor_cannot_restore_becomes_a_fresh
     assert_eq!(assignment.envs[0].snapshot, Vec::<u8>::new());
     assert_eq!(c.places()[0].snapshot, Vec::<u8>::new(), "the next checkpoint is whole");
     assert_eq!(c.n_actors(), 1);
-    assert_eq!(close_balanced(&mut c).refusals[&RefusalCause::Snapshot], 1);
+    let books = close_balanced(&mut c);
+    assert_eq!(books.refusals[&RefusalCause::FreshEpisode], 1);
+    assert!(books.has_fresh_episodes(), "other numbers are trained on than without it");
 }
 
 #[test]
@@ -830,7 +835,9 @@ fn an_actor_on_a_foreign_assignment_gets_its_environments_anew_under_a_higher_nu
     let effects = c.take_effects();
     let is_told = |effect: &&Effect| matches!(effect, Effect::Event(RunEvent::Astray { told, .. }) if told.0 == 1 << 40);
     assert_eq!(effects.iter().filter(is_told).count(), 1);
-    assert_eq!(c.epoch(), Epoch((1 << 40) + 1));
+    let is_again = |effect: &&Effect| matches!(effect, Effect::Control { control: Control::Assign(it), .. } if it.epoch.0 == (1 << 40) + 1);
+    assert_eq!(effects.iter().filter(is_again).count(), 1);
+    assert_eq!(c.epoch(), Epoch(2), "to nobody else that number means anything");
     // Its rollouts tell the same as its answers, and do not count.
     send_under(&mut c, "a", 1, 1 << 41, &rollout(0, 0, 0));
     let (_, again) = assignments(&mut c).remove(0);

@@ -106,3 +106,24 @@ async fn each_version_is_pulled_once_for_a_region_and_without_its_relay_from_the
     assert_eq!(pulled.await.unwrap().unwrap(), weights);
     drop(top);
 }
+
+/// Waits until so many routers are above and below this one.
+async fn until_connected(router: &RouterLink, expected: (usize, usize)) {
+    let mut looks = tokio::time::interval(Duration::from_millis(20));
+    let connected = async {
+        while router.n_routers().await != expected {
+            looks.tick().await;
+        }
+    };
+    tokio::time::timeout(SOON, connected).await.expect("in time");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_router_below_is_not_taken_for_the_one_above() {
+    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let nobody: Endpoint = format!("tcp/{nobody}").parse().unwrap();
+    let (middle, at_middle) = router(Some(&nobody)).await;
+    let (leaf, _) = router(Some(&at_middle)).await;
+    until_connected(&leaf, (1, 0)).await;
+    until_connected(&middle, (0, 1)).await;
+}
