@@ -417,7 +417,7 @@ fn check_run(run: &RunSection) -> Result<RunSettings, ConfigError> {
         actors_min,
         checkpoints: CheckpointInterval { updates, time: Duration::from_secs(seconds) },
         checkpoint_patience: Duration::from_secs(patience),
-        keep: Retention { newest: run.keep.newest, every_updates: run.keep.every_updates },
+        keep: run.keep,
     })
 }
 

@@ -6,6 +6,7 @@
 
 use leadtime_episodes::Choice;
 use leadtime_ppo::LearnerSettings;
+use leadtime_ppo::checkpoints::Retention;
 use leadtime_proto::HeadCredit;
 use serde::{Deserialize, Serialize};
 use toml::Table;
@@ -33,15 +34,7 @@ pub(crate) struct RunSection {
     pub(crate) checkpoint_every: u64,
     pub(crate) checkpoint_seconds: u64,
     pub(crate) checkpoint_patience: u64,
-    pub(crate) keep: KeepSection,
-}
-
-/// `[run.keep]`: which checkpoints stay.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct KeepSection {
-    pub(crate) newest: usize,
-    pub(crate) every_updates: u64,
+    pub(crate) keep: Retention,
 }
 
 /// `[policy]`: the networks.

@@ -14,7 +14,14 @@ const LINE_EVERY: Duration = Duration::from_mins(1);
 
 /// When lines were written, and how many messages were refused since.
 #[derive(Debug, Default)]
-pub(crate) struct ToldRefusals(Mutex<BTreeMap<(&'static str, RefusalCause), (Instant, u64)>>);
+pub(crate) struct ToldRefusals(Mutex<BTreeMap<(&'static str, RefusalCause), ToldLine>>);
+
+/// The last line about one kind of message and one cause.
+#[derive(Debug)]
+struct ToldLine {
+    at: Instant,
+    n_since: u64,
+}
 
 impl ToldRefusals {
     /// Logs that a message of this kind was refused, as a warning if it is time for one.
@@ -29,16 +36,16 @@ impl ToldRefusals {
     /// Counts one more, and returns how many there were if it is time for a line.
     fn count(&self, kind: &'static str, cause: RefusalCause, now: Instant) -> Option<u64> {
         let mut told = lock(&self.0);
-        let Some((at, n)) = told.get_mut(&(kind, cause)) else {
-            told.insert((kind, cause), (now, 0));
+        let Some(line) = told.get_mut(&(kind, cause)) else {
+            told.insert((kind, cause), ToldLine { at: now, n_since: 0 });
             return Some(1);
         };
-        *n += 1;
-        if now.saturating_duration_since(*at) < LINE_EVERY {
+        line.n_since += 1;
+        if now.saturating_duration_since(line.at) < LINE_EVERY {
             return None;
         }
-        *at = now;
-        Some(std::mem::take(n))
+        line.at = now;
+        Some(std::mem::take(&mut line.n_since))
     }
 }
 

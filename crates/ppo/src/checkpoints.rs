@@ -5,6 +5,7 @@
 use std::time::Duration;
 
 use leadtime_proto::limits::MAX_MESSAGE_BYTES;
+use serde::{Deserialize, Serialize};
 
 use crate::settings::{LearnerSettings, Mode};
 
@@ -36,8 +37,9 @@ pub struct CheckpointInterval {
     pub time: Duration,
 }
 
-/// Which checkpoints stay when a new one is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// `[run.keep]`: which checkpoints stay when a new one is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Retention {
     /// How many of the newest, 1..=[`MAX_KEPT`].
     pub newest: usize,

@@ -1,6 +1,5 @@
 use leadtime_numerics::{Pcg64, Purpose, stream};
 use leadtime_policy::Policy;
-use leadtime_policy::attention::{FramePresence, PresentEntities, presence_flags};
 use leadtime_proto::{
     ActionSpec, EgoAttention, Encoder, EnvId, EnvSpec, EpisodeEnd, EpisodeSummary, HeadCredit,
     Iteration, Mask, Rollout, codec,
@@ -378,47 +377,5 @@ fn a_learner_computes_what_an_actor_computed() {
         let rollouts: Vec<CheckedRollout> = (0..3).map(act).collect();
         let report = trainer.update(&rollouts).unwrap();
         assert_eq!((report.old_approx_kl, report.approx_kl), (0.0, 0.0), "{:?}", spec.encoder);
-    }
-}
-
-#[test]
-fn an_entity_that_is_always_there_stays_present_while_observations_are_normalised() {
-    let spec = PolicySpec { normalize_observations: true, ..random_rollouts::attentive() };
-    let Encoder::EgoAttention(attention) = &spec.encoder else { panic!("it is attention") };
-    let n_steps = 40;
-    let settings =
-        LearnerSettings { n_envs: 2, n_steps, n_minibatches: 2, n_epochs: 1, ..Default::default() };
-    let mut trainer = Trainer::new(&spec, &settings, 1).unwrap();
-    let env = EnvSpec { obs_dim: spec.obs_dim, actions: spec.actions.clone(), metrics: Vec::new() };
-    // The ego and the first of the others are always there, the second nine times of ten, the rest never.
-    let is_there = |step: usize, entity: usize| match entity {
-        0 | 1 => true,
-        2 => step % 10 != 9,
-        _ => false,
-    };
-    let act = |env_id| {
-        let mut rollout =
-            Rollout::clone(&random_rollouts::rollout(&spec, trainer.parameters(), env_id, n_steps));
-        for (step, row) in rollout.observations.chunks_exact_mut(spec.obs_dim).enumerate() {
-            for (i, flag) in presence_flags(attention).enumerate() {
-                row[flag] = f32::from(u8::from(is_there(step, i % attention.n_entities)));
-            }
-        }
-        rollout.check(&env, n_steps, 0).unwrap()
-    };
-    let rollouts: Vec<CheckedRollout> = (0..2).map(act).collect();
-    for _ in 0..3 {
-        trainer.update(&rollouts).unwrap();
-        let normalizer = trainer.parameters().normalizer().unwrap();
-        let raw = &rollouts[0].observations;
-        let mut normalized = vec![f32::NAN; raw.len()];
-        normalizer.freeze().apply(raw, &mut normalized);
-        let mut present = PresentEntities::default();
-        for (step, row) in normalized.chunks_exact(spec.obs_dim).enumerate() {
-            present.list(&row[..attention.n_frames * attention.frame_dim()], attention);
-            let n_others = 1 + usize::from(is_there(step, 2));
-            let expected = FramePresence { n_others, ego: true, others: true };
-            assert_eq!(present.frames, [expected; 4], "step {step}");
-        }
     }
 }

@@ -31,7 +31,9 @@ pub(super) fn run(tasks: &Tasks, args: &ReportArgs) -> Result<(), Failure> {
         _ => return Err(Failure::input("several runs: --out FILE says where their page goes")),
     };
     output::check_file(&page).blame(ExitCode::WrongInput)?;
-    policies.iter().for_each(|policy| evaluation::warn_of_own_episodes(policy, *eval_seed));
+    for policy in &policies {
+        evaluation::warn_of_own_episodes(policy, *eval_seed);
+    }
     let request = EvaluationRequest { episodes: args.episodes, action: *action, seed: *eval_seed };
     let findings = match (&files[..], &policies[..]) {
         ([run], [policy]) => {

@@ -4,7 +4,7 @@ use leadtime_numerics::proportion::with_width;
 use leadtime_numerics::stats::{Bootstrap, mean};
 
 use super::readers::Reader;
-use super::record::{N_STAGES, ProbeSample, record};
+use super::record::{N_STAGES, ProbeSample, check_listener, record};
 use super::result::{MIN_EPISODES, ProbeResult, ProbeStage, ReaderScore, Score};
 use super::ridge::Ridge;
 use crate::error::Error;

@@ -77,13 +77,6 @@ fn a_run_survives_a_server_that_misbehaves_and_pays_for_nothing_twice() {
 }
 
 #[test]
-fn a_model_that_talks_nonsense_is_given_up_with_one_sentence() {
-    let url = Server::start(&small_plan(), &[Manner::Nonsense]).url;
-    let says = "are malformed: its template or the model is wrong";
-    assert_eq!(stopped(&url), format!("50 of the last 50 replies of test-model at {url} {says}"));
-}
-
-#[test]
 fn a_server_that_refuses_is_not_asked_again() {
     let server = Server::start(&small_plan(), &[Manner::Refusing]);
     let says = format!("the server at {} refuses with status 401: no key", server.url);

@@ -83,7 +83,9 @@ fn an_actor_that_takes_long_to_restore_keeps_its_environments_as_long_as_it_has_
     let mut c = coordinator(8, Schedule::Lag(0), &[]);
     c.settings.actors_min = 2;
     let mut places = RolloutQueue::beginning(8);
-    places.iter_mut().for_each(|place| place.snapshot = vec![1]);
+    for place in &mut places {
+        place.snapshot = vec![1];
+    }
     c.queue = RolloutQueue::new(Schedule::Lag(0), places);
     join(&mut c, "quick");
     join(&mut c, "slow");
