@@ -15,7 +15,7 @@
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
 //! configuration). A named finished run that has lost a policy is opened as well, so that its newest checkpoint makes the
 //! policy files again. A changed configuration is refused with the difference; keys that cannot change a run's bits do
-//! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
+//! not count, `learner.total_steps` of a named run may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!
 //! Nothing that was trained is ever replaced from nothing: a run that has had checkpoints and lost them is refused.
 //! `config.toml` is written last, so a directory without it was never begun, whatever else a killed start left in it.
@@ -141,7 +141,12 @@ impl RunDir {
                     trained.check(&path, name, &before)?;
                 }
                 if state == RunState::Unfinished {
-                    record.changes.extend(changed(&before, changes, allowed, trained.n_saved));
+                    // The learning rate has fallen over another length so far: no single command gives the same weights.
+                    let is_bent = config.learner.anneal && trained.n_saved > 0;
+                    let counts = |key: &str| {
+                        allowed.iter().any(|it| it == key) || (is_bent && key == TOTAL_STEPS)
+                    };
+                    record.changes.extend(changed(&before, changes, counts, trained.n_saved));
                     // Somebody may have renamed or copied its directory.
                     name.as_str().clone_into(&mut record.name);
                     trained.forget_lost_updates(&path).map_err(io)?;
@@ -212,15 +217,15 @@ impl RunDir {
     }
 }
 
-/// Lists the settings that change, of all differences those that are allowed.
+/// Lists the settings whose change counts, of all differences.
 fn changed(
     before: &Table,
     changes: Vec<Change>,
-    allowed: &[String],
+    counts: impl Fn(&str) -> bool,
     after_update: u64,
 ) -> impl Iterator<Item = SettingChange> {
     let identity = hex::encode(&identity::of_run(before));
-    let changes = changes.into_iter().filter(|change| allowed.contains(&change.key));
+    let changes = changes.into_iter().filter(move |change| counts(&change.key));
     changes.map(move |Change { key, before, after }| {
         let identity = identity.clone();
         SettingChange { after_update, key, before, after, identity }

@@ -73,6 +73,9 @@ fn an_unfinished_run_of_the_same_configuration_is_taken_up_again() {
     let (changed, state) = open(runs.path(), None, &["learner.clip=0.1"]).unwrap();
     assert_eq!(state, RunState::Fresh);
     assert_ne!(changed.name, name);
+    let (longer, state) = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
+    assert_eq!(state, RunState::Fresh, "its learning rate would fall over another length");
+    drop(longer);
     let (again, state) = open(runs.path(), Some(name.as_str()), &[]).unwrap();
     assert_eq!((state, again.record.resumed), (RunState::Unfinished, 2));
 }
