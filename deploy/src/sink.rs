@@ -76,10 +76,10 @@ impl RunSink {
 
     /// Asks the run to stop if it has made as many updates as it was to make.
     fn stop_after(&self, n_done: u64) {
-        if let Some((n_updates, shutdown)) = &self.stop
+        if let Some((n_updates, planned)) = &self.stop
             && n_done >= *n_updates
         {
-            shutdown.cancel();
+            planned.cancel();
         }
     }
 
