@@ -119,6 +119,10 @@ impl ProgressSink for RunSink {
             }
             self.stop_after(*n_updates);
         }
+        if matches!(event, RunEvent::Listening { .. }) {
+            let noted = self.recorder.note_start();
+            self.warn(noted);
+        }
         if let RunEvent::EvaluationFailed { .. } = event
             && std::mem::replace(&mut self.has_told_failure, true)
         {

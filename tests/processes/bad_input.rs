@@ -228,6 +228,23 @@ fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
 }
 
 #[test]
+fn a_finished_run_stays_as_it_is_if_the_learner_that_is_to_train_it_on_cannot_start() {
+    let place = Place::new();
+    place.finish(&["up --name r --actors 1", SMALL]).with_code(0);
+    let read = |file: &str| fs::read(place.run("r").join(file)).unwrap();
+    let files = || ["run.json", "config.toml"].map(read);
+    let before = files();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+    let longer = "--set learner.total_steps=5120";
+    refused(&place, &[&learner_at(&endpoint), longer], &["in use", &endpoint]);
+    assert!(files() == before, "{}", record(&place.run("r")));
+    drop(taken);
+    train(&place, learner(&place, longer));
+    assert_eq!(record(&place.run("r"))["result"]["updates"], 40);
+}
+
+#[test]
 fn nobody_at_the_address_is_a_lost_peer() {
     let place = Place::new();
     let actor = ["actor --connect-timeout 500ms --connect", &place.endpoint("nobody")];

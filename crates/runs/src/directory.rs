@@ -51,8 +51,11 @@ pub struct RunDir {
     pub path: PathBuf,
     /// The run's name.
     pub name: RunName,
-    /// The record as it was when the directory was opened.
+    /// The record of this start.
     pub record: RunRecord,
+    /// Whether the record and the configuration on the disk are still those of the last start: they are replaced once this one
+    /// can work, because one that cannot (its address is in use) is to cost a finished run nothing.
+    pub is_to_be_noted: bool,
     /// How `learner.total_steps` grew since the run was last carried out, if it did.
     pub grown: Option<Change>,
     /// Held for as long as the directory is ours; the system lets go of it even after `kill -9`.
@@ -151,10 +154,11 @@ impl RunDir {
                     name.as_str().clone_into(&mut record.name);
                     trained.forget_lost_updates(&path).map_err(io)?;
                     record.taken_up_by(build, trained.has_checkpoints);
-                    record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }
+                let is_to_be_noted = state == RunState::Unfinished;
                 let state = if is_opened { RunState::Unfinished } else { state };
-                return Ok((Self { name: name.clone(), record, grown, lock, path }, state));
+                let run = Self { name: name.clone(), record, is_to_be_noted, grown, lock, path };
+                return Ok((run, state));
             }
             kept = record.origin.filter(|_| fork.is_none());
         }
@@ -163,8 +167,8 @@ impl RunDir {
             return Err(RunDirError::Refused(says));
         }
         let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
-        let run = Self { name: name.clone(), record, grown: None, lock, path };
-        Ok((run, RunState::Fresh))
+        let (name, is_to_be_noted, grown) = (name.clone(), false, None);
+        Ok((Self { name, record, is_to_be_noted, grown, lock, path }, RunState::Fresh))
     }
 
     /// Notes that its learner ends when its supervisor does, so that the next supervisor waits for it.

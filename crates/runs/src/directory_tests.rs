@@ -1,9 +1,9 @@
 use super::*;
-use crate::ResultCause;
 use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation, check_place};
+use crate::{ResultCause, RunRecorder};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
 use serde_json::json;
@@ -27,7 +27,17 @@ fn build(program: &str) -> ProgramBuild {
 }
 
 fn open(runs: &Path, name: Option<&str>, set: &[&str]) -> Result<(RunDir, RunState), RunDirError> {
-    RunDir::open(&config(runs, name, set), None, &build("a"))
+    open_by("a", &config(runs, name, set))
+}
+
+/// Opens a run, and notes that, as a learner that can be reached does.
+fn open_by(program: &str, config: &Config) -> Result<(RunDir, RunState), RunDirError> {
+    let (run, state) = RunDir::open(config, None, &build(program))?;
+    if run.is_to_be_noted {
+        let recorder = RunRecorder::open(&run.path, config, run.name.as_str()).unwrap();
+        recorder.keeping(&run).note_start().unwrap();
+    }
+    Ok((run, state))
 }
 
 /// Leaves what a learner does after its first updates; with a checkpoint, if it got that far.
@@ -427,7 +437,7 @@ fn a_record_lists_every_build_that_took_the_run_up() {
         let name = format!("r-{second}");
         begun(runs.path(), Some(&name), &[]);
         let config = config(runs.path(), Some(&name), &[]);
-        drop(RunDir::open(&config, None, &build(second)).unwrap());
+        drop(open_by(second, &config).unwrap());
         let record = RunRecord::read(&runs.path().join(&name)).unwrap();
         assert_eq!(record.builds.len(), n_builds, "{name}");
     }

@@ -121,7 +121,7 @@ fn open_recorder(run_dir: &RunDir, config: &Config) -> Result<RunRecorder, Failu
     let recorder = RunRecorder::open(&run_dir.path, config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
         .blame(ExitCode::WrongInput)?;
-    Ok(recorder.keeping(run_dir.record.clone()))
+    Ok(recorder.keeping(run_dir))
 }
 
 /// Says that there is nothing to train, and what to do; as JSON, how the run ended.
