@@ -171,7 +171,7 @@ fn write_report(tasks: &Tasks, config: &Config, run_dir: &RunDir) {
 /// Asks the run to stop when its time is over; the token says that it was.
 fn stop_in_time(stop_after: StopAfter, planned: &CancellationToken) -> CancellationToken {
     let time_is_up = CancellationToken::new();
-    if let StopAfter::Time(time) = stop_after {
+    if let Some(time) = stop_after.time() {
         let (stop, told) = (planned.clone(), time_is_up.clone());
         tokio::spawn(async move {
             tokio::time::sleep(time).await;
