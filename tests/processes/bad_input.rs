@@ -307,6 +307,10 @@ fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
     assert!(listed.contains(&format!("fa {}", &digest[..12])), "{listed}");
     let report = fs::read_to_string(place.run("fc").join("report.html")).unwrap();
     assert!(report.contains(&digest), "the report names the starting weights");
+    // It has its own copy of them.
+    fs::remove_dir_all(place.run("fa")).unwrap();
+    fork("fa", 8).with_code(0);
+    fork("fz", 12).with_code(WRONG_INPUT).saying(&["--fork", "`fz`"]);
 }
 
 #[test]

@@ -39,7 +39,7 @@ use crate::layout::{
     make_directory, read_config, read_record, write_config,
 };
 use crate::naming::{make_new, unfinished};
-use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
+use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, PolicyFileError, weights_digest};
 use crate::record::INITIAL_POLICY;
 use crate::regular;
 use crate::{ForkOrigin, ProgramBuild, RunRecord, RunResult, SettingChange};
@@ -111,6 +111,25 @@ impl RunDir {
             return Err(refused(&format!("there is no run `{name}` in {runs}")));
         }
         Self::open_named(config, name, None, build, keys)
+    }
+
+    /// Reads the weights that a run is to start from; `None` if they cannot be read and the run that the configuration names has
+    /// begun from them: it has its own copy, and checkpoints.
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyFileError`] if there are none, or if they do not fit the new run's networks.
+    pub fn fork(config: &Config, from: &Path) -> Result<Option<Fork>, PolicyFileError> {
+        let has_begun = |name: &RunName| {
+            let path = config.run.directory.join(name.as_str());
+            let origin = RunRecord::read(&path).ok().and_then(|record| record.origin);
+            let is_same = origin.is_some_and(|origin| origin.run == from.display().to_string());
+            is_same && is_begun(&path).unwrap_or(false)
+        };
+        match Fork::read(config, from) {
+            Err(_) if config.run.name.as_ref().is_some_and(has_begun) => Ok(None),
+            read => read.map(Some),
+        }
     }
 
     fn open_named(

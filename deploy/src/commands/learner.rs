@@ -13,7 +13,6 @@ use leadtime_process::{MetricsPipe, ProcessTrace, TraceFile, log_line};
 use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
-use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
     ProgramBuild, ResultCause, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock,
@@ -147,8 +146,8 @@ fn open(
     args: &LearnerArgs,
     build: &ProgramBuild,
 ) -> Result<(RunDir, RunState), Failure> {
-    let fork = args.run.fork.as_deref().map(|from| Fork::read(config, from));
-    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
+    let fork = args.run.fork.as_deref().map(|from| RunDir::fork(config, from));
+    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?.flatten();
     let opened = match args.run.changed_keys().as_slice() {
         [] => RunDir::open(config, fork.as_ref(), build),
         keys => RunDir::open_changed(config, keys, build),
