@@ -245,9 +245,20 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
         let error = open(runs.path(), Some(name), &["learner.total_steps=600000"]).unwrap_err();
         let text = error.to_string();
         assert!(text.contains(on_record) && text.contains(&format!("--fork {name}")), "{text}");
+        assert!(!text.contains("begin anew"), "{text}");
         assert_eq!(fs::read(runs.path().join(name).join(LAST_POLICY)).unwrap(), b"weights");
     }
     assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
+    // No checkpoint could ever be written: that may be, and only its person knows.
+    let (run, _) = open(runs.path(), Some("full"), &[]).unwrap();
+    train(&run, 37, false);
+    let journal = run.path.join("metrics.jsonl");
+    drop(run);
+    let text = open(runs.path(), Some("full"), &[]).unwrap_err().to_string();
+    let anew = format!("if none could be written, remove {} to begin anew", journal.display());
+    assert!(text.contains("37 updates on record") && text.ends_with(&anew), "{text}");
+    fs::remove_file(journal).unwrap();
+    assert_eq!(open(runs.path(), Some("full"), &[]).unwrap().1, RunState::Fresh);
     // Without a name, another run is begun instead.
     let another = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
     assert_eq!(another.1, RunState::Fresh);
@@ -428,6 +439,22 @@ fn a_fork_begins_with_its_weights_or_not_at_all() {
     let scratch = config(runs.path(), Some("r"), &[]);
     let error = RunDir::open(&scratch, Some(&from_a), &build("a")).unwrap_err().to_string();
     assert!(error.contains("from fresh weights"), "{error}");
+}
+
+#[test]
+fn a_setting_that_changes_before_the_first_checkpoint_is_that_of_the_whole_run() {
+    let runs = tempfile::tempdir().unwrap();
+    let keys = ["learner.clip".to_owned()];
+    let changed = config(runs.path(), Some("r"), &["learner.clip=0.1"]);
+    let (run, _) = open(runs.path(), Some("r"), &[]).unwrap();
+    train(&run, 5, false);
+    drop(run);
+    let (run, state) = RunDir::open_changed(&changed, &keys, &build("a")).unwrap();
+    assert_eq!((state, run.record.changes), (RunState::Unfinished, Vec::new()));
+    begun(runs.path(), Some("s"), &[]);
+    let changed = config(runs.path(), Some("s"), &["learner.clip=0.1"]);
+    let (run, _) = RunDir::open_changed(&changed, &keys, &build("a")).unwrap();
+    assert_eq!(run.record.changes.len(), 1);
 }
 
 #[test]

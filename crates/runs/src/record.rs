@@ -185,8 +185,9 @@ impl RunRecord {
     /// Notes that a build takes the run up.
     pub(crate) fn taken_up_by(&mut self, build: &ProgramBuild, has_checkpoints: bool) {
         if !has_checkpoints {
-            // It was killed before its first checkpoint: all of it is made again, by this build.
+            // It was killed before its first checkpoint: all of it is made again, by this build, with the settings of now.
             self.builds = vec![build.clone()];
+            self.changes.clear();
         }
         self.worked_on_by(build);
         self.resumed += 1;
