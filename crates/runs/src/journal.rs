@@ -94,9 +94,29 @@ impl Journal {
 ///
 /// If the file cannot be read.
 pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
-    let bytes = regular::read(&run_directory.join(JOURNAL))?;
-    let lines = bytes.split(|&byte| byte == b'\n');
-    Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect())
+    let mut lines = Vec::new();
+    for_each_line(run_directory, |line| lines.push(line))?;
+    Ok(lines)
+}
+
+/// Hands the lines of a run's journal on, one at a time, skipping what is no line of it.
+///
+/// # Errors
+///
+/// If the file cannot be read.
+pub(crate) fn for_each_line(
+    run_directory: &Path,
+    mut take: impl FnMut(Map<String, Value>),
+) -> io::Result<()> {
+    let mut file = BufReader::new(regular::open(&run_directory.join(JOURNAL))?);
+    let mut bytes = Vec::new();
+    while file.read_until(b'\n', &mut bytes)? > 0 {
+        if let Ok(line) = serde_json::from_slice(&bytes) {
+            take(line);
+        }
+        bytes.clear();
+    }
+    Ok(())
 }
 
 /// The longest end of a journal that is read to find its last line, in bytes.
