@@ -103,7 +103,7 @@ pub async fn run(
     held_out: Option<HeldOutEvaluation>,
     stop: impl Into<RunStop>,
 ) -> Result<RunReport, Error> {
-    let stop = stop.into();
+    let stop: RunStop = stop.into();
     let mut store = CheckpointStore::open(&config.checkpoints, config.retention)?;
     let mut point = resume::begin(&config, &mut store)?;
     for event in point.events.drain(..) {

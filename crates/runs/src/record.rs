@@ -308,8 +308,9 @@ mod tests {
     #[test]
     fn every_build_and_class_of_cpu_that_takes_over_is_on_record() {
         let mut record = record();
-        record.worked_on_by(&build("a", "x86_64"));
-        assert_eq!(record.builds.len(), 1);
+        let threads = "4".to_owned();
+        record.worked_on_by(&ProgramBuild { threads, ..build("a", "x86_64") });
+        assert_eq!(record.builds.len(), 1, "threads change no bit");
         record.worked_on_by(&build("b", "x86_64"));
         record.worked_on_by(&build("b", "aarch64"));
         assert_eq!(record.builds.len(), 3);
