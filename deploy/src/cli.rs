@@ -305,6 +305,14 @@ impl StopAfter {
             Self::Time(_) => None,
         }
     }
+
+    /// Returns the time after which it stops; `None` where updates or steps decide.
+    pub(crate) fn time(self) -> Option<Duration> {
+        match self {
+            Self::Time(time) => Some(time),
+            Self::Updates(_) | Self::Steps(_) => None,
+        }
+    }
 }
 
 impl fmt::Display for StopAfter {

@@ -76,10 +76,10 @@ impl RunSink {
 
     /// Asks the run to stop if it has made as many updates as it was to make.
     fn stop_after(&self, n_done: u64) {
-        if let Some((n_updates, shutdown)) = &self.stop
+        if let Some((n_updates, planned)) = &self.stop
             && n_done >= *n_updates
         {
-            shutdown.cancel();
+            planned.cancel();
         }
     }
 
@@ -118,6 +118,10 @@ impl ProgressSink for RunSink {
                 info!("--stop-after is reached already: nothing more is trained");
             }
             self.stop_after(*n_updates);
+        }
+        if matches!(event, RunEvent::Listening { .. }) {
+            let noted = self.recorder.note_start();
+            self.warn(noted);
         }
         if let RunEvent::EvaluationFailed { .. } = event
             && std::mem::replace(&mut self.has_told_failure, true)

@@ -1,7 +1,8 @@
 //! The one place that decides how many threads the libraries use.
 //!
-//! candle and gemm read `RAYON_NUM_THREADS` when they first multiply, and the number of threads is part of what a
-//! run's bits depend on. The network library reads its own variable when it first connects ([`leadtime_link::runtime`]).
+//! candle and gemm read `RAYON_NUM_THREADS` when they first multiply. What a run computes is not theirs (an update's threads are
+//! `learner.threads`), so no bit depends on it: it keeps them from starting a thread for every core. The network library reads its
+//! own variable when it first connects ([`leadtime_link::runtime`]).
 //! A variable cannot be set safely inside a running process, so the program starts itself once more in the same process
 //! (same id, same files) with the variables set, before it does anything else. Children of the supervisor inherit them.
 

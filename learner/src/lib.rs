@@ -54,4 +54,4 @@ pub use report::{
     UpdateProgress,
 };
 pub use roster::MembershipNumber;
-pub use run::run;
+pub use run::{RunStop, run};

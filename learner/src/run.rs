@@ -73,6 +73,21 @@ enum LearnerWake {
     Stop,
 }
 
+/// By what a run is ended before its last update.
+#[derive(Clone, Debug)]
+pub struct RunStop {
+    /// Asks the run to end with a checkpoint.
+    pub ask: CancellationToken,
+    /// Asks it to give up what it cannot save. It counts only if it comes after the run was asked to end: somebody insists.
+    pub insist: CancellationToken,
+}
+
+impl From<CancellationToken> for RunStop {
+    fn from(stop: CancellationToken) -> Self {
+        Self { ask: stop.clone(), insist: stop }
+    }
+}
+
 /// Runs a learner until all updates are done or it is asked to stop.
 ///
 /// Needs tokio's multi-threaded runtime. A run that was interrupted goes on from its newest whole checkpoint. Without
@@ -86,8 +101,9 @@ pub async fn run(
     config: LearnerConfig,
     mut sink: Box<dyn ProgressSink>,
     held_out: Option<HeldOutEvaluation>,
-    stop: CancellationToken,
+    stop: impl Into<RunStop>,
 ) -> Result<RunReport, Error> {
+    let stop: RunStop = stop.into();
     let mut store = CheckpointStore::open(&config.checkpoints, config.retention)?;
     let mut point = resume::begin(&config, &mut store)?;
     for event in point.events.drain(..) {
@@ -100,7 +116,8 @@ pub async fn run(
         .as_ref()
         .and_then(|it| point.record.held_out.reached(&it.plan, point.start.version));
     if reached.is_some() || point.start.version.0 >= settings.n_updates() {
-        return ending::already_trained(&config, point, sink.as_mut(), evaluations, &stop).await;
+        return ending::already_trained(&config, point, sink.as_mut(), evaluations, &stop.ask)
+            .await;
     }
     // An actor may have a whole window on its way: with fewer places the link would refuse what credit allowed.
     let mut listen = config.listen.clone();
@@ -206,20 +223,20 @@ impl RunLoop {
     async fn live(
         &mut self,
         events: &flume::Receiver<LearnerEvent>,
-        stop: &CancellationToken,
+        stop: &RunStop,
     ) -> Result<RunReport, Error> {
         // After a stall one tick is due: lateness is counted in ticks, and nobody was heard while the loop stood still.
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
-            match self.next_wake(events, &mut ticks, stop).await? {
+            match self.next_wake(events, &mut ticks, &stop.ask).await? {
                 LearnerWake::Stop => return self.end(events, RunEnd::Stopped, stop).await,
                 wake => self.handle(wake, events)?,
             }
             if self.is_over() {
                 return self.end(events, RunEnd::Finished, stop).await;
             }
-            if stop.is_cancelled() {
+            if stop.ask.is_cancelled() {
                 continue; // No further update: the sink may have asked for exactly this many.
             }
             self.train()?;
@@ -598,12 +615,12 @@ impl RunLoop {
         Ok(())
     }
 
-    /// Saves the end of the run. If that fails, tries again until the learner is asked to stop, or [`KEPT`] is over.
-    async fn save_end(&mut self, stop: &CancellationToken) -> Result<(), Error> {
+    /// Saves the end of the run. If that fails, tries again until somebody insists on the end, or [`KEPT`] is over.
+    async fn save_end(&mut self, stop: &RunStop) -> Result<(), Error> {
         let (kept, pause) = KEPT;
         let deadline = Instant::now() + kept;
         // Who asked the run to end did not ask for this to be given up; who asks now does.
-        let was_stopped = stop.is_cancelled();
+        let had_insisted = stop.insist.is_cancelled();
         let mut is_told = false;
         loop {
             let written = self.checkpoint();
@@ -614,14 +631,14 @@ impl RunLoop {
                 let reason = with_cause(error);
                 self.sink.on_event(&RunEvent::Unsaved { reason, kept });
             }
-            let asked = stop.is_cancelled() && !was_stopped;
-            if asked || Instant::now() >= deadline {
+            let is_given_up = stop.insist.is_cancelled() && !had_insisted;
+            if is_given_up || Instant::now() >= deadline {
                 return written;
             }
             self.sink.on_tick(&self.health());
             tokio::select! {
                 () = tokio::time::sleep(pause) => {}
-                () = stop.cancelled(), if !was_stopped => {}
+                () = stop.insist.cancelled(), if !had_insisted => {}
             }
         }
     }
@@ -630,7 +647,7 @@ impl RunLoop {
         &mut self,
         events: &flume::Receiver<LearnerEvent>,
         mut end: RunEnd,
-        stop: &CancellationToken,
+        stop: &RunStop,
     ) -> Result<RunReport, Error> {
         self.sink.on_event(&RunEvent::Stopping);
         let reason = match end {
@@ -649,7 +666,7 @@ impl RunLoop {
             (end, &mut self.evaluations, self.record.held_out.next())
         {
             let (record, sink) = (&mut self.record.held_out, self.sink.as_mut());
-            if !evaluations.finish(record, sink, stop, &health).await {
+            if !evaluations.finish(record, sink, &stop.ask, &health).await {
                 end = RunEnd::Stopped;
             }
             self.save_end(stop).await?;

@@ -267,6 +267,23 @@ fn an_address_that_cannot_be_used_is_reported_as_what_it_is() {
 }
 
 #[test]
+fn a_finished_run_stays_as_it_is_if_the_learner_that_is_to_train_it_on_cannot_start() {
+    let place = Place::new();
+    place.finish(&["up --name r --actors 1", SMALL]).with_code(0);
+    let read = |file: &str| fs::read(place.run("r").join(file)).unwrap();
+    let files = || ["run.json", "config.toml"].map(read);
+    let before = files();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+    let longer = "--set learner.total_steps=5120";
+    refused(&place, &[&learner_at(&endpoint), longer], &["in use", &endpoint]);
+    assert!(files() == before, "{}", record(&place.run("r")));
+    drop(taken);
+    train(&place, learner(&place, longer));
+    assert_eq!(record(&place.run("r"))["result"]["updates"], 40);
+}
+
+#[test]
 fn nobody_at_the_address_is_a_lost_peer() {
     let place = Place::new();
     let actor = ["actor --connect-timeout 500ms --connect", &place.endpoint("nobody")];
@@ -329,6 +346,10 @@ fn a_second_fork_is_refused_and_a_fork_says_what_it_began_with() {
     assert!(listed.contains(&format!("fa {}", &digest[..12])), "{listed}");
     let report = fs::read_to_string(place.run("fc").join("report.html")).unwrap();
     assert!(report.contains(&digest), "the report names the starting weights");
+    // It has its own copy of them.
+    fs::remove_dir_all(place.run("fa")).unwrap();
+    fork("fa", 8).with_code(0);
+    fork("fz", 12).with_code(WRONG_INPUT).saying(&["--fork", "`fz`"]);
 }
 
 #[test]

@@ -49,6 +49,30 @@ async fn a_learner_that_ends_dismisses_who_comes_late() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_end_that_was_planned_may_take_longer_than_an_interrupt_and_is_a_success() {
+    let place = Place::new();
+    let begin = async |name: &str, more: &str| {
+        let endpoint = place.endpoint(name);
+        let learner = ["learner -c cartpole --name", name, "--listen", &endpoint, more];
+        let mut command = place.program(&learner);
+        command.args(["--metrics-to", "exec sleep 600"]);
+        let learner = place.start_with(command);
+        let (actor, events, hello) = fake_actor(&endpoint.parse().unwrap(), "stays").await;
+        actor.hello(None, &hello, SOON).await.unwrap();
+        (learner, actor, events)
+    };
+    // Neither the actor nor the command ends when it is to: together that is more than an interrupted learner has.
+    let (timed, _timed_actor, timed_events) = begin("timed", "--stop-after 3s").await;
+    let (drained, _drained_actor, drained_events) = begin("drained", "").await;
+    signal("USR1", drained.id());
+    let _orders = tokio::join!(sent_away(&timed_events), sent_away(&drained_events));
+    tokio::task::block_in_place(|| {
+        timed.finish(PATIENCE).with_code(0).saying(&["the time of --stop-after is over"]);
+        drained.finish(PATIENCE).with_code(0).saying(&["asked to drain"]);
+    });
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_actor_that_comes_late_ends_well() {
     let place = Place::new();
     let endpoint = place.endpoint("learner");

@@ -15,8 +15,8 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::support::{
-    PATIENCE, Place, Running, ask, get, record, signal, updates, wait_for_updates, wait_for_words,
-    wait_until,
+    PATIENCE, Place, Running, SOON, ask, get, record, signal, updates, wait_for_updates,
+    wait_for_words, wait_until,
 };
 
 /// A CartPole run that ends by a signal only.
@@ -350,6 +350,15 @@ fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
     signal("TERM", learner.id());
     learner.finish(PATIENCE).with_code(2);
     actor.finish(PATIENCE).with_code(0);
+    disk.free();
+    // Of an end that was planned, one interrupt is enough.
+    let drained = self::learner(&place, "");
+    wait_for_words(&drained, "listening");
+    disk.fill();
+    signal("USR1", drained.id());
+    wait_for_words(&drained, "the end of the run cannot be saved");
+    signal("TERM", drained.id());
+    drained.finish(SOON).with_code(2);
     disk.free();
     let resumed = self::learner(&place, "--stop-after 1");
     resumed.finish(PATIENCE).with_code(0).saying(&["resumed from update"]);

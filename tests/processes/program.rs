@@ -361,8 +361,14 @@ fn a_longer_schedule_of_the_learning_rate_is_told() {
     let longer = [TRAIN, "--set learner.total_steps=7680"];
     let told = ["learner.total_steps: 5120 -> 7680", "learner.anneal = true", "will differ"];
     place.finish(&longer).with_code(0).saying(&told);
+    assert_eq!(result(&place.run("r"))["reproducible"], false, "no single command trains it");
     let again = place.finish(&longer).with_code(0);
     assert!(!again.stderr.contains("will differ"), "{}", again.stderr);
+    // A rate that does not fall is the same for every length.
+    let even = TRAIN.replace("--name r", "--name s --set learner.anneal=false");
+    place.finish(&[&even]).with_code(0);
+    place.finish(&[&even, "--set learner.total_steps=7680"]).with_code(0);
+    assert_eq!(result(&place.run("s"))["reproducible"], true);
 }
 
 #[test]

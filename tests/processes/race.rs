@@ -111,6 +111,17 @@ fn racers_are_compared_as_they_were_at_a_quarter_however_often_and_in_whichever_
 }
 
 #[test]
+fn racers_that_end_before_the_quarter_are_compared_as_they_ended() {
+    let place = Place::new();
+    let early = "--set evaluation.stop_at=0.9 --set evaluation.world.max_steps=5 --set evaluation.during_training=20";
+    let raced = race(&place, early);
+    for racer in raced["racers"].as_array().unwrap() {
+        assert_eq!(racer["quarter"]["updates"], 1, "{raced}");
+    }
+    assert_eq!(race(&place, early), raced);
+}
+
+#[test]
 fn what_a_race_costs_is_said_beforehand_and_a_wrong_one_is_refused() {
     let place = Place::new();
     let told = place.finish(&["race -c lander --plan"]).with_code(0).stdout;

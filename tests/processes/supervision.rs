@@ -74,6 +74,19 @@ fn a_supervisor_that_is_drained_while_it_chooses_a_lag_ends_well_and_begins_no_r
 }
 
 #[test]
+fn a_lag_is_tried_for_a_fork_and_without_the_actors_that_are_to_join_the_run() {
+    let place = Place::new();
+    place.finish(&[&LONG.replace("--name r", "--name a"), "--stop-after 2"]).with_code(0);
+    let fork = "--choose-lag --set learner.mode=lag --set run.actors_min=3 --fork a --listen";
+    let supervisor = place.start(&[LONG, fork, &place.endpoint("others")]);
+    // The first trial has found the weights, and made updates.
+    wait_for_words(&supervisor, "Trying learner.lag = 2");
+    signal("USR1", supervisor.id());
+    supervisor.finish(6 * SECOND).with_code(0);
+    place.finish(&[LONG, "--choose-lag --set learner.mode=lag --fork nobody"]).with_code(2);
+}
+
+#[test]
 fn a_smoke_that_is_drained_ends_in_order_and_has_not_passed() {
     let place = Place::new();
     let smoke = place.start(&["smoke --set learner.total_steps=100000000"]);

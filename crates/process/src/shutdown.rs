@@ -7,7 +7,8 @@
 //! learned may go on trying for [`UNSAVED_TIME`].
 //!
 //! With a log file, SIGHUP reopens it and ends nothing. SIGUSR1 ends a process that asks for it ([`drain_on_request`]) as SIGTERM does;
-//! whether that is a success is the caller's.
+//! whether that is a success is the caller's. A learner that is drained, or has reached its `--stop-after`, cancels a child of the token:
+//! such an end was planned, and has no deadline.
 //!
 //! A supervised process reads its standard input and does nothing with it: the supervisor holds the other end and
 //! never writes. When the supervisor closes it, or dies in whatever way, the read ends: so there are no orphans.

@@ -15,7 +15,7 @@
 //! A learner takes up the unfinished run of the same name (or, without a name, the newest unfinished run of the same
 //! configuration). A named finished run that has lost a policy is opened as well, so that its newest checkpoint makes the
 //! policy files again. A changed configuration is refused with the difference; keys that cannot change a run's bits do
-//! not count, `learner.total_steps` may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
+//! not count, `learner.total_steps` of a named run may grow, and settings of the learner change where that is asked for. A directory in which nothing was trained yet may be taken anew.
 //!
 //! Nothing that was trained is ever replaced from nothing: a run that has had checkpoints and lost them is refused.
 //! `config.toml` is written last, so a directory without it was never begun, whatever else a killed start left in it.
@@ -39,7 +39,7 @@ use crate::layout::{
     make_directory, read_config, read_record, write_config,
 };
 use crate::naming::{make_new, unfinished};
-use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, weights_digest};
+use crate::policy_file::{BEST_POLICY, Fork, LAST_POLICY, PolicyFileError, weights_digest};
 use crate::record::INITIAL_POLICY;
 use crate::regular;
 use crate::{ForkOrigin, ProgramBuild, ResultCause, RunRecord, RunResult, SettingChange};
@@ -51,8 +51,11 @@ pub struct RunDir {
     pub path: PathBuf,
     /// The run's name.
     pub name: RunName,
-    /// The record as it was when the directory was opened.
+    /// The record of this start.
     pub record: RunRecord,
+    /// Whether the record and the configuration on the disk are still those of the last start: they are replaced once this one
+    /// can work, because one that cannot (its address is in use) is to cost a finished run nothing.
+    pub is_to_be_noted: bool,
     /// How `learner.total_steps` grew since the run was last carried out, if it did.
     pub grown: Option<Change>,
     /// Held for as long as the directory is ours; the system lets go of it even after `kill -9`.
@@ -110,6 +113,25 @@ impl RunDir {
         Self::open_named(config, name, None, build, keys)
     }
 
+    /// Reads the weights that a run is to start from; `None` if they cannot be read and the run that the configuration names has
+    /// begun from them: it has its own copy, and checkpoints.
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyFileError`] if there are none, or if they do not fit the new run's networks.
+    pub fn fork(config: &Config, from: &Path) -> Result<Option<Fork>, PolicyFileError> {
+        let has_begun = |name: &RunName| {
+            let path = config.run.directory.join(name.as_str());
+            let origin = RunRecord::read(&path).ok().and_then(|record| record.origin);
+            let is_same = origin.is_some_and(|origin| origin.run == from.display().to_string());
+            is_same && is_begun(&path).unwrap_or(false)
+        };
+        match Fork::read(config, from) {
+            Err(_) if config.run.name.as_ref().is_some_and(has_begun) => Ok(None),
+            read => read.map(Some),
+        }
+    }
+
     fn open_named(
         config: &Config,
         name: &RunName,
@@ -144,15 +166,21 @@ impl RunDir {
                     trained.check(&path, name, &before)?;
                 }
                 if state == RunState::Unfinished {
-                    record.changes.extend(changed(&before, changes, allowed, trained.n_saved));
+                    // The learning rate has fallen over another length so far: no single command gives the same weights.
+                    let is_bent = config.learner.anneal && trained.n_saved > 0;
+                    let counts = |key: &str| {
+                        allowed.iter().any(|it| it == key) || (is_bent && key == TOTAL_STEPS)
+                    };
+                    record.changes.extend(changed(&before, changes, counts, trained.n_saved));
                     // Somebody may have renamed or copied its directory.
                     name.as_str().clone_into(&mut record.name);
                     trained.forget_lost_updates(&path).map_err(io)?;
                     record.taken_up_by(build, trained.has_checkpoints);
-                    record.write(&path).and_then(|()| write_config(&path, config)).map_err(io)?;
                 }
+                let is_to_be_noted = state == RunState::Unfinished;
                 let state = if is_opened { RunState::Unfinished } else { state };
-                return Ok((Self { name: name.clone(), record, grown, lock, path }, state));
+                let run = Self { name: name.clone(), record, is_to_be_noted, grown, lock, path };
+                return Ok((run, state));
             }
             kept = record.origin.filter(|_| fork.is_none());
         }
@@ -161,8 +189,8 @@ impl RunDir {
             return Err(RunDirError::Refused(says));
         }
         let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
-        let run = Self { name: name.clone(), record, grown: None, lock, path };
-        Ok((run, RunState::Fresh))
+        let (name, is_to_be_noted, grown) = (name.clone(), false, None);
+        Ok((Self { name, record, is_to_be_noted, grown, lock, path }, RunState::Fresh))
     }
 
     /// Notes that its learner ends when its supervisor does, so that the next supervisor waits for it.
@@ -235,15 +263,15 @@ fn refuse_late_change(
     )))
 }
 
-/// Lists the settings that change, of all differences those that are allowed.
+/// Lists the settings whose change counts, of all differences.
 fn changed(
     before: &Table,
     changes: Vec<Change>,
-    allowed: &[String],
+    counts: impl Fn(&str) -> bool,
     after_update: u64,
 ) -> impl Iterator<Item = SettingChange> {
     let identity = hex::encode(&identity::of_run(before));
-    let changes = changes.into_iter().filter(|change| allowed.contains(&change.key));
+    let changes = changes.into_iter().filter(move |change| counts(&change.key));
     changes.map(move |Change { key, before, after }| {
         let identity = identity.clone();
         SettingChange { after_update, key, before, after, identity }

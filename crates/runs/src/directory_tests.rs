@@ -3,6 +3,7 @@ use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation, check_place};
+use crate::{ResultCause, RunRecorder};
 use leadtime_config::{Catalog, ConfigSource, Override};
 use leadtime_policy::Parameters;
 use serde_json::json;
@@ -26,7 +27,17 @@ fn build(program: &str) -> ProgramBuild {
 }
 
 fn open(runs: &Path, name: Option<&str>, set: &[&str]) -> Result<(RunDir, RunState), RunDirError> {
-    RunDir::open(&config(runs, name, set), None, &build("a"))
+    open_by("a", &config(runs, name, set))
+}
+
+/// Opens a run, and notes that, as a learner that can be reached does.
+fn open_by(program: &str, config: &Config) -> Result<(RunDir, RunState), RunDirError> {
+    let (run, state) = RunDir::open(config, None, &build(program))?;
+    if run.is_to_be_noted {
+        let recorder = RunRecorder::open(&run.path, config, run.name.as_str()).unwrap();
+        recorder.keeping(&run).note_start().unwrap();
+    }
+    Ok((run, state))
 }
 
 /// Leaves what a learner does after its first updates; with a checkpoint, if it got that far.
@@ -72,6 +83,9 @@ fn an_unfinished_run_of_the_same_configuration_is_taken_up_again() {
     let (changed, state) = open(runs.path(), None, &["learner.clip=0.1"]).unwrap();
     assert_eq!(state, RunState::Fresh);
     assert_ne!(changed.name, name);
+    let (longer, state) = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
+    assert_eq!(state, RunState::Fresh, "its learning rate would fall over another length");
+    drop(longer);
     let (again, state) = open(runs.path(), Some(name.as_str()), &[]).unwrap();
     assert_eq!((state, again.record.resumed), (RunState::Unfinished, 2));
 }
@@ -267,9 +281,20 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
         let error = open(runs.path(), Some(name), &["learner.total_steps=600000"]).unwrap_err();
         let text = error.to_string();
         assert!(text.contains(on_record) && text.contains(&format!("--fork {name}")), "{text}");
+        assert!(!text.contains("begin anew"), "{text}");
         assert_eq!(fs::read(runs.path().join(name).join(LAST_POLICY)).unwrap(), b"weights");
     }
     assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
+    // No checkpoint could ever be written: that may be, and only its person knows.
+    let (run, _) = open(runs.path(), Some("full"), &[]).unwrap();
+    train(&run, 37, false);
+    let journal = run.path.join("metrics.jsonl");
+    drop(run);
+    let text = open(runs.path(), Some("full"), &[]).unwrap_err().to_string();
+    let anew = format!("if none could be written, remove {} to begin anew", journal.display());
+    assert!(text.contains("37 updates on record") && text.ends_with(&anew), "{text}");
+    fs::remove_file(journal).unwrap();
+    assert_eq!(open(runs.path(), Some("full"), &[]).unwrap().1, RunState::Fresh);
     // Without a name, another run is begun instead.
     let another = open(runs.path(), None, &["learner.total_steps=600000"]).unwrap();
     assert_eq!(another.1, RunState::Fresh);
@@ -453,13 +478,29 @@ fn a_fork_begins_with_its_weights_or_not_at_all() {
 }
 
 #[test]
+fn a_setting_that_changes_before_the_first_checkpoint_is_that_of_the_whole_run() {
+    let runs = tempfile::tempdir().unwrap();
+    let keys = ["learner.clip".to_owned()];
+    let changed = config(runs.path(), Some("r"), &["learner.clip=0.1"]);
+    let (run, _) = open(runs.path(), Some("r"), &[]).unwrap();
+    train(&run, 5, false);
+    drop(run);
+    let (run, state) = RunDir::open_changed(&changed, &keys, &build("a")).unwrap();
+    assert_eq!((state, run.record.changes), (RunState::Unfinished, Vec::new()));
+    begun(runs.path(), Some("s"), &[]);
+    let changed = config(runs.path(), Some("s"), &["learner.clip=0.1"]);
+    let (run, _) = RunDir::open_changed(&changed, &keys, &build("a")).unwrap();
+    assert_eq!(run.record.changes.len(), 1);
+}
+
+#[test]
 fn a_record_lists_every_build_that_took_the_run_up() {
     let runs = tempfile::tempdir().unwrap();
     for (second, n_builds) in [("a", 1), ("b", 2)] {
         let name = format!("r-{second}");
         begun(runs.path(), Some(&name), &[]);
         let config = config(runs.path(), Some(&name), &[]);
-        drop(RunDir::open(&config, None, &build(second)).unwrap());
+        drop(open_by(second, &config).unwrap());
         let record = RunRecord::read(&runs.path().join(&name)).unwrap();
         assert_eq!(record.builds.len(), n_builds, "{name}");
     }

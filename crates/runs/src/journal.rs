@@ -8,51 +8,83 @@
 //! there was no checkpoint yet; they are made and written again.
 
 use std::fs::{File, OpenOptions};
-use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{self, BufRead as _, BufReader, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
+use leadtime_learner::PartialFile;
 use serde_json::{Map, Value};
 
 use crate::regular;
+
+/// The journal's file in a run directory.
+pub(crate) const JOURNAL: &str = "metrics.jsonl";
 
 /// The journal of a run, open to be written on.
 #[derive(Debug)]
 pub(crate) struct Journal {
     path: PathBuf,
     file: File,
+    /// Whether the last write failed, and may have left a part of its line.
+    is_torn: bool,
 }
 
 impl Journal {
     /// Opens the journal of a run directory for appending.
     pub(crate) fn open(run_directory: &Path) -> io::Result<Self> {
-        let path = run_directory.join("metrics.jsonl");
+        let path = run_directory.join(JOURNAL);
         let file = regular::append_to(&path)?;
-        Ok(Self { path, file })
+        Ok(Self { path, file, is_torn: false })
     }
 
-    /// Drops every line about an update after `n_updates`, and a torn last line.
+    /// Drops every line about an update after `n_updates`, and what is no whole line. A journal may be larger than the memory:
+    /// it is read line by line.
     pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
-        let bytes = regular::read(&self.path)?;
-        let belongs = |line: &&[u8]| {
-            let update =
-                serde_json::from_slice(line).ok().and_then(|line: Value| line["update"].as_u64());
-            update.is_some_and(|update| update <= n_updates)
-        };
-        let kept: Vec<&[u8]> =
-            bytes.split_inclusive(|&byte| byte == b'\n').filter(belongs).collect();
-        let kept = kept.concat();
-        if kept.len() == bytes.len() {
+        let mut is_as_it_was = true;
+        self.for_lines_until(n_updates, &mut |line, is_kept| {
+            // Of the last line only its end may be missing.
+            is_as_it_was &= is_kept && line.ends_with(b"\n");
+            Ok(())
+        })?;
+        if is_as_it_was {
             // Another file in its place would be taken for a rewind by those who follow it.
             return Ok(());
         }
-        leadtime_learner::write_atomically(&self.path, &kept)?;
-        self.file = OpenOptions::new().append(true).open(&self.path)?;
+        let mut kept = io::BufWriter::new(PartialFile::create(&self.path)?);
+        self.for_lines_until(n_updates, &mut |line, is_kept| {
+            if !is_kept {
+                return Ok(());
+            }
+            kept.write_all(line)?;
+            if line.ends_with(b"\n") { Ok(()) } else { kept.write_all(b"\n") }
+        })?;
+        kept.into_inner().map_err(io::IntoInnerError::into_error)?.place()?;
+        (self.file, self.is_torn) = (OpenOptions::new().append(true).open(&self.path)?, false);
+        Ok(())
+    }
+
+    /// Goes through the journal, and tells of every line whether it belongs to the first `n_updates` updates.
+    fn for_lines_until(
+        &self,
+        n_updates: u64,
+        take: &mut dyn FnMut(&[u8], bool) -> io::Result<()>,
+    ) -> io::Result<()> {
+        let (mut file, mut line) = (BufReader::new(regular::open(&self.path)?), Vec::new());
+        while file.read_until(b'\n', &mut line)? > 0 {
+            let parsed = serde_json::from_slice::<Value>(&line).ok();
+            let update = parsed.and_then(|line| line["update"].as_u64());
+            take(&line, update.is_some_and(|update| update <= n_updates))?;
+            line.clear();
+        }
         Ok(())
     }
 
     /// Appends one update in a single write.
     pub(crate) fn append(&mut self, line: &Value) -> io::Result<()> {
-        self.file.write_all(format!("{line}\n").as_bytes())
+        // What a full disk has left of an earlier line ends here, and not in this one.
+        let end_before = if self.is_torn { "\n" } else { "" };
+        let written = self.file.write_all(format!("{end_before}{line}\n").as_bytes());
+        self.is_torn = written.is_err();
+        written
     }
 }
 
@@ -62,9 +94,29 @@ impl Journal {
 ///
 /// If the file cannot be read.
 pub fn read(run_directory: &Path) -> io::Result<Vec<Map<String, Value>>> {
-    let bytes = regular::read(&run_directory.join("metrics.jsonl"))?;
-    let lines = bytes.split(|&byte| byte == b'\n');
-    Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).collect())
+    let mut lines = Vec::new();
+    for_each_line(run_directory, |line| lines.push(line))?;
+    Ok(lines)
+}
+
+/// Hands the lines of a run's journal on, one at a time, skipping what is no line of it.
+///
+/// # Errors
+///
+/// If the file cannot be read.
+pub(crate) fn for_each_line(
+    run_directory: &Path,
+    mut take: impl FnMut(Map<String, Value>),
+) -> io::Result<()> {
+    let mut file = BufReader::new(regular::open(&run_directory.join(JOURNAL))?);
+    let mut bytes = Vec::new();
+    while file.read_until(b'\n', &mut bytes)? > 0 {
+        if let Ok(line) = serde_json::from_slice(&bytes) {
+            take(line);
+        }
+        bytes.clear();
+    }
+    Ok(())
 }
 
 /// The longest end of a journal that is read to find its last line, in bytes.
@@ -86,15 +138,22 @@ pub fn last_update(run_directory: &Path) -> u64 {
 ///
 /// If there is a journal that cannot be read.
 pub(crate) fn last(run_directory: &Path, key: &str) -> io::Result<u64> {
-    let Some(tail) = regular::if_there(tail(run_directory))? else { return Ok(0) };
-    let text = String::from_utf8_lossy(&tail);
-    let mut lines = text.lines().rev();
-    let line = lines.find_map(|line| serde_json::from_str::<Map<String, Value>>(line).ok());
-    Ok(line.and_then(|line| line.get(key)?.as_u64()).unwrap_or(0))
+    Ok(last_line(run_directory)?.get(key).and_then(Value::as_u64).unwrap_or(0))
+}
+
+/// Returns a run's last line; an empty one if there is none. Only the end of the journal is read.
+///
+/// # Errors
+///
+/// If there is a journal that cannot be read.
+pub(crate) fn last_line(run_directory: &Path) -> io::Result<Map<String, Value>> {
+    let Some(tail) = regular::if_there(tail(run_directory))? else { return Ok(Map::new()) };
+    let mut lines = tail.rsplit(|&byte| byte == b'\n');
+    Ok(lines.find_map(|line| serde_json::from_slice(line).ok()).unwrap_or_default())
 }
 
 fn tail(run_directory: &Path) -> io::Result<Vec<u8>> {
-    let mut file = regular::open(&run_directory.join("metrics.jsonl"))?;
+    let mut file = regular::open(&run_directory.join(JOURNAL))?;
     let length = file.metadata()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(TAIL)))?;
     let mut bytes = Vec::new();
@@ -126,6 +185,29 @@ mod tests {
         append(&mut journal, 4);
         let lines = read(dir.path()).unwrap();
         assert!(lines.iter().map(|line| line["update"].as_u64().unwrap()).eq(1..=4), "{lines:?}");
+    }
+
+    #[test]
+    fn a_line_after_one_that_could_not_be_written_stands_alone() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut journal = Journal::open(dir.path()).unwrap();
+        journal.append(&json!({"update": 1})).unwrap();
+        // The part for which there was room.
+        journal.file.write_all(b"{\"upda").unwrap();
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let whole = std::mem::replace(&mut journal.file, full);
+        journal.append(&json!({"update": 2})).unwrap_err();
+        journal.file = whole;
+        (3..=4).for_each(|update| journal.append(&json!({"update": update})).unwrap());
+        let updates = |journal: &[Map<String, Value>]| -> Vec<u64> {
+            journal.iter().map(|line| line["update"].as_u64().unwrap()).collect()
+        };
+        assert_eq!(updates(&read(dir.path()).unwrap()), [1, 3, 4]);
+        // Killed between a line and its end.
+        journal.file.write_all(b"{\"update\": 5}").unwrap();
+        journal.rewind(5).unwrap();
+        journal.append(&json!({"update": 6})).unwrap();
+        assert_eq!(updates(&read(dir.path()).unwrap()), [1, 3, 4, 5, 6]);
     }
 
     #[test]

@@ -37,8 +37,10 @@ pub struct Launch<'a> {
     pub guard: &'a [OsString],
     /// The run or file whose weights a new run starts from.
     pub fork: Option<&'a Path>,
-    /// After how much the run stops with a checkpoint, as the learner's `--stop-after` has it.
+    /// After how many updates or steps the run stops with a checkpoint, as the learner's `--stop-after` has it.
     pub stop_after: Option<String>,
+    /// After what time it does, however often its learner is started meanwhile.
+    pub stop_in: Option<Duration>,
     /// Settings that change in a run that goes on: `KEY=VALUE`, the learner's `--change`.
     pub changes: Vec<String>,
     /// A command that gets every update's metrics, the learner's `--metrics-to`.
@@ -80,6 +82,7 @@ impl<'a> Launch<'a> {
             guard: &[],
             fork: None,
             stop_after: None,
+            stop_in: None,
             changes: Vec::new(),
             metrics_to: None,
             trace: None,
@@ -245,6 +248,8 @@ fn plan(
         placement: launch.placement.clone(),
         run: reserved.path.clone(),
         n_updates: config.learner.n_updates(),
+        // A time that no clock knows is none.
+        stop_at: launch.stop_in.and_then(|time| Instant::now().checked_add(time)),
         others_may_join: !launch.listen.is_empty(),
         learner_stdout: launch.learner_stdout,
         stderr_log: launch.stderr_log.clone(),

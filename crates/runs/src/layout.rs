@@ -12,7 +12,7 @@ use toml::Table;
 
 use crate::contents::{CHECKPOINTS, CONFIG, checkpoints, is_run};
 use crate::directory_error::{RunDirError, with_causes};
-use crate::journal::Journal;
+use crate::journal::{JOURNAL, Journal};
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD, RecordError};
 use crate::{ResultCause, RunRecord, RunResult, journal, regular};
@@ -120,10 +120,17 @@ impl TrainingTraces {
         } else {
             String::new()
         };
+        // The disk may have been full all the time. That nobody has removed them cannot be known.
+        let anew = if self.had_checkpoints {
+            String::new()
+        } else {
+            let journal = path.join(JOURNAL);
+            format!("; if none could be written, remove {} to begin anew", journal.display())
+        };
         let (n_updates, path) = (self.n_updates, path.join(CHECKPOINTS));
         Err(RunDirError::Refused(format!(
             "run `{name}` has {n_updates} updates on record and no checkpoint in {}, so it cannot be continued; put the \
-             checkpoints back, or take another --name{weights}",
+             checkpoints back, or take another --name{weights}{anew}",
             path.display()
         )))
     }

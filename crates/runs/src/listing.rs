@@ -113,7 +113,7 @@ impl ListedRun {
 
     /// Describes a run by its record and its journal.
     pub fn new(path: &Path, record: RunRecord) -> Self {
-        let last = journal::read(path).ok().and_then(|mut lines| lines.pop()).unwrap_or_default();
+        let last = journal::last_line(path).unwrap_or_default();
         let number = |key: &str| last.get(key).and_then(Value::as_f64);
         let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
         let reproducible = record.is_reproducible(path);
@@ -168,7 +168,22 @@ fn unreadable(path: &Path, error: &RecordError) -> ListedRun {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Seek as _, SeekFrom, Write as _};
+
     use super::*;
+    use crate::ProgramBuild;
+
+    #[test]
+    fn of_a_journal_that_no_memory_holds_only_the_end_is_read() {
+        let run = tempfile::tempdir().unwrap();
+        let mut journal = fs::File::create(run.path().join("metrics.jsonl")).unwrap();
+        journal.seek(SeekFrom::Start(1 << 42)).unwrap();
+        let line = b"\n{\"update\": 7, \"steps\": 448, \"episodes/return\": 2.5}\n";
+        journal.write_all(line).unwrap();
+        let record = RunRecord::begin("r", "cartpole", 1, &ProgramBuild::default());
+        let listed = ListedRun::new(run.path(), record);
+        assert_eq!((listed.updates, listed.steps, listed.episode_return), (7, 448, Some(2.5)));
+    }
 
     #[test]
     fn a_name_is_whole_however_narrow_the_terminal_is() {

@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use leadtime_config::Config;
+use leadtime_config::{Config, identity};
 use leadtime_proto::RunName;
 
 use crate::command_line::shell_argument;
@@ -143,10 +143,13 @@ pub(crate) fn unfinished(config: &Config) -> Vec<RunName> {
         let record = RunRecord::read(&path).ok()?;
         let before = read_config(&path).ok()?;
         let state = compare(&record, &before, &config.table, &name, &[]).ok()?;
+        // One that is to become longer is asked for by its name: its learning rate would fall over another length.
+        let changes = identity::difference(&before, &config.table);
+        let is_same = changes.iter().all(|change| identity::is_free(&change.key));
         let trained = TrainingTraces::find(&path, &record).ok()?;
         trained.check(&path, &name, &before).ok()?;
         let is_open = record.result.is_none() && state == RunState::Unfinished;
-        (is_open && !record.is_fork(&path)).then_some((record.started, name))
+        (is_open && is_same && !record.is_fork(&path)).then_some((record.started, name))
     };
     let mut found: Vec<_> = entries.filter_map(Result::ok).filter_map(candidate).collect();
     found.sort();

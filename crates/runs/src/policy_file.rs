@@ -143,13 +143,22 @@ pub struct Fork {
 }
 
 impl Fork {
+    /// Finds the file that the weights are read from.
+    ///
+    /// # Errors
+    ///
+    /// [`PolicyFileError`] if there is none.
+    pub fn find(config: &Config, run: &Path) -> Result<PathBuf, PolicyFileError> {
+        find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])
+    }
+
     /// Reads the newest weights of another run, or a policy file.
     ///
     /// # Errors
     ///
     /// [`PolicyFileError`] if there are none, or if they are of another task or do not fit the new run's networks.
     pub fn read(config: &Config, run: &Path) -> Result<Self, PolicyFileError> {
-        let path = find(&config.run.directory, run, [LAST_POLICY, BEST_POLICY])?;
+        let path = Self::find(config, run)?;
         let (bytes, metadata) = read(&path)?;
         let weights = weights(&path, &bytes, &metadata, &config.policy);
         let (_, weights_sha256) =

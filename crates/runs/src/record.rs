@@ -185,8 +185,9 @@ impl RunRecord {
     /// Notes that a build takes the run up.
     pub(crate) fn taken_up_by(&mut self, build: &ProgramBuild, has_checkpoints: bool) {
         if !has_checkpoints {
-            // It was killed before its first checkpoint: all of it is made again, by this build.
+            // It was killed before its first checkpoint: all of it is made again, by this build, with the settings of now.
             self.builds = vec![build.clone()];
+            self.changes.clear();
         }
         self.worked_on_by(build);
         self.resumed += 1;
@@ -307,8 +308,9 @@ mod tests {
     #[test]
     fn every_build_and_class_of_cpu_that_takes_over_is_on_record() {
         let mut record = record();
-        record.worked_on_by(&build("a", "x86_64"));
-        assert_eq!(record.builds.len(), 1);
+        let threads = "4".to_owned();
+        record.worked_on_by(&ProgramBuild { threads, ..build("a", "x86_64") });
+        assert_eq!(record.builds.len(), 1, "threads change no bit");
         record.worked_on_by(&build("b", "x86_64"));
         record.worked_on_by(&build("b", "aarch64"));
         assert_eq!(record.builds.len(), 3);

@@ -17,7 +17,7 @@ use crate::contents::CONFIG;
 use crate::journal::Journal;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION, WEIGHTS_SHA256};
 use crate::tensorboard::EventFile;
-use crate::{RunRecord, clock, held_out, history, metrics};
+use crate::{RunDir, RunRecord, clock, held_out, history, metrics};
 
 /// The open files of a run.
 #[derive(Debug)]
@@ -38,6 +38,8 @@ pub struct RunRecorder {
     events: Option<EventFile>,
     /// What is written again if the directory vanishes.
     record: Option<RunRecord>,
+    /// Whether the record and the configuration on the disk are still those of an earlier start.
+    is_to_be_noted: bool,
 }
 
 impl RunRecorder {
@@ -59,13 +61,29 @@ impl RunRecorder {
             is_rewound: false,
             events: None,
             record: None,
+            is_to_be_noted: false,
         })
     }
 
-    /// Writes this record and the configuration again, should the directory be removed or moved away while the run is at work:
-    /// nobody could take the run up without them.
-    pub fn keeping(self, record: RunRecord) -> Self {
-        Self { record: Some(record), ..self }
+    /// Keeps the record of an opened run. It is written with the configuration once the run is at work ([`Self::note_start`]), and
+    /// again, should the directory be removed or moved away meanwhile: nobody could take the run up without them.
+    pub fn keeping(self, run: &RunDir) -> Self {
+        Self { record: Some(run.record.clone()), is_to_be_noted: run.is_to_be_noted, ..self }
+    }
+
+    /// Writes down that this start has taken the run up, unless that is done.
+    ///
+    /// # Errors
+    ///
+    /// If a file cannot be written; the next policies are then preceded by another try.
+    pub fn note_start(&mut self) -> io::Result<()> {
+        let Some(record) = self.record.as_ref().filter(|_| self.is_to_be_noted) else {
+            return Ok(());
+        };
+        record.write(&self.directory)?;
+        self.write_config()?;
+        self.is_to_be_noted = false;
+        Ok(())
     }
 
     /// Notes that the run goes on from a checkpoint.
@@ -136,18 +154,23 @@ impl RunRecorder {
     /// Makes the directory a run's again, if it is none any more.
     fn keep_directory(&mut self) -> io::Result<()> {
         let Some(record) = &self.record else { return Ok(()) };
-        let config = self.directory.join(CONFIG);
-        if config.exists() {
-            return Ok(());
+        if self.directory.join(CONFIG).exists() {
+            return self.note_start();
         }
         record.write(&self.directory)?;
         self.journal = Journal::open(&self.directory)?;
         self.events = None;
         // As at the beginning of a run, it comes last.
-        write_atomically(&config, self.settings.to_string().as_bytes())?;
+        self.write_config()?;
+        self.is_to_be_noted = false;
         let directory = self.directory.display();
         warn!(%directory, "the run's directory was moved or removed: it is made again, and the run can be taken up from it");
         Ok(())
+    }
+
+    fn write_config(&self) -> io::Result<()> {
+        let text = self.settings.to_string();
+        write_atomically(&self.directory.join(CONFIG), text.as_bytes())
     }
 
     fn rewind(&mut self, n_updates: u64) -> io::Result<()> {

@@ -1,6 +1,6 @@
 //! `report.html` of one run or several, from what lies in their directories and from an evaluation, if there was one.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 use leadtime_config::identity::{Change, difference};
 use leadtime_config::{Config, ConfigSource, Override};
@@ -13,7 +13,7 @@ use serde_json::{Map, Value};
 use crate::command_line::command_line;
 use crate::findings::Findings;
 use crate::record::INITIAL_POLICY;
-use crate::run_files::RunFiles;
+use crate::run_files::{RunFiles, point};
 use crate::{ProgramBuild, ResultCause, RunResult, Tasks, held_out};
 
 /// Points of a learning curve.
@@ -39,7 +39,7 @@ pub fn report(tasks: &Tasks, runs: &[RunFiles], findings: Findings, program: &st
         pictures: pictures(&findings.episodes),
         comparison: findings.comparison,
         curves: curves(runs),
-        staleness: alone.map(|run| staleness(&run.journal)).unwrap_or_default(),
+        staleness: alone.map(|run| run.journal.staleness.clone()).unwrap_or_default(),
         phases: runs.iter().map(|run| phases(run, alone.is_some())).collect(),
         books: books.map(account).unwrap_or_default(),
         books_balance: books.and_then(|books| books["balanced"].as_bool()),
@@ -67,8 +67,11 @@ fn curves(runs: &[RunFiles]) -> Vec<BandPanel> {
         ("train/approx_kl", "approximate KL (nats)", None),
     ];
     let band = |run: &RunFiles, key: &str| {
-        let lines = if key.starts_with("held_out/") { &run.held_out } else { &run.journal };
-        let band = Band::summary(&points(lines, key), N_POINTS);
+        let evaluated: Vec<[f64; 2]> =
+            run.held_out.iter().filter_map(|line| point(line, key)).collect();
+        let is_held_out = key.starts_with("held_out/");
+        let points: &[[f64; 2]] = if is_held_out { &evaluated } else { run.journal.curve(key) };
+        let band = Band::summary(points, N_POINTS);
         let label = if runs.len() > 1 { run.name().to_owned() } else { String::new() };
         Band { label, ..band }
     };
@@ -80,29 +83,9 @@ fn curves(runs: &[RunFiles]) -> Vec<BandPanel> {
     panels.into_iter().filter_map(panel).collect()
 }
 
-fn points(journal: &[Map<String, Value>], key: &str) -> Vec<[f64; 2]> {
-    let point =
-        |line: &Map<String, Value>| Some([line.get("steps")?.as_f64()?, line.get(key)?.as_f64()?]);
-    journal.iter().filter_map(point).collect()
-}
-
-fn staleness(journal: &[Map<String, Value>]) -> BTreeMap<u64, u64> {
-    let mut counts = BTreeMap::new();
-    for line in journal {
-        let update = line.get("staleness").and_then(Value::as_object);
-        for (staleness, n) in update.into_iter().flatten() {
-            if let (Ok(staleness), Some(n)) = (staleness.parse(), n.as_u64()) {
-                *counts.entry(staleness).or_default() += n;
-            }
-        }
-    }
-    counts
-}
-
 fn phases(run: &RunFiles, alone: bool) -> ShareRow {
-    let sum = |key: &str| run.journal.iter().filter_map(|line| line.get(key)?.as_f64()).sum();
-    let training = ("training".to_owned(), sum("system/train_seconds"));
-    let waiting = ("waiting for rollouts".to_owned(), sum("system/wait_seconds"));
+    let training = ("training".to_owned(), run.journal.sum("system/train_seconds"));
+    let waiting = ("waiting for rollouts".to_owned(), run.journal.sum("system/wait_seconds"));
     let label = if alone { "learner" } else { run.name() };
     ShareRow { label: label.to_owned(), parts: vec![training, waiting] }
 }

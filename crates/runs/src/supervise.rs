@@ -58,6 +58,8 @@ pub(crate) struct ProcessPlan {
     pub(crate) run: PathBuf,
     /// Updates of the whole run.
     pub(crate) n_updates: u64,
+    /// When the learner is to stop.
+    pub(crate) stop_at: Option<Instant>,
     /// Whether actors that are not ours may keep the run going.
     pub(crate) others_may_join: bool,
     /// Whether the learner's results go to our standard output.
@@ -86,6 +88,7 @@ pub(crate) async fn supervise(
     let mut learner = ChildHandle::new("learner", &plan.learner, stderr_log);
     learner.shows_results = plan.learner_stdout;
     learner.cpus = plan.placement.of_learner().to_vec();
+    learner.stop_at = plan.stop_at;
     learner.start(&plan.run)?;
     let handle = |(number, args): (usize, &Vec<OsString>)| ChildHandle {
         is_actor: true,
@@ -186,6 +189,8 @@ struct ChildHandle {
     /// Finds the program again for every start, because its file may have been replaced.
     program: fn() -> io::Result<PathBuf>,
     args: Vec<OsString>,
+    /// When it is to stop, which every start is told anew.
+    stop_at: Option<Instant>,
     /// The CPUs that it keeps to; all that we may use if there are none.
     cpus: Vec<usize>,
     /// Its results go to our standard output, instead of nowhere.
@@ -214,6 +219,7 @@ impl ChildHandle {
             is_actor: false,
             program: running_program,
             args: args.to_vec(),
+            stop_at: None,
             cpus: Vec::new(),
             shows_results: false,
             stderr_log: stderr_log.map(Path::to_owned),
@@ -241,12 +247,20 @@ impl ChildHandle {
         let stderr = stderr.map_or_else(Stdio::inherit, Stdio::from);
         let stdout = if self.shows_results { Stdio::inherit() } else { Stdio::null() };
         let mut command = Command::new((self.program)()?);
-        command.args(&self.args).stdin(Stdio::piped()).stdout(stdout).stderr(stderr);
+        command.args(&self.args).args(self.time_left(Instant::now()));
+        command.stdin(Stdio::piped()).stdout(stdout).stderr(stderr);
         start_on(&self.cpus, || {
             let mut process = CommandWrap::from(command).wrap(ProcessGroup::leader()).spawn()?;
             let lifeline = process.stdin().take();
             Ok(ChildProcess { process, lifeline })
         })
+    }
+
+    /// Returns the option that says how much is left of its time: a little where nothing is, so that it saves and ends.
+    fn time_left(&self, now: Instant) -> Vec<OsString> {
+        let left = self.stop_at.map(|at| at.saturating_duration_since(now).as_millis().max(1));
+        let option = |left: u128| ["--stop-after".to_owned(), format!("{left}ms")];
+        left.into_iter().flat_map(option).map(Into::into).collect()
     }
 
     /// Notices the child's end, and starts it when it is time.
@@ -372,6 +386,18 @@ mod tests {
             assert_eq!(healthy.ended(Some(1), "failed", run.path()), ChildHealth::Alive);
         }
         assert_eq!(healthy.ended(Some(2), "wrong input", run.path()), ChildHealth::Gone(Some(2)));
+    }
+
+    #[test]
+    fn a_learner_that_is_started_again_stops_when_the_first_one_would_have() {
+        let begun = Instant::now();
+        let stop_at = begun.checked_add(Duration::from_hours(2));
+        let learner = ChildHandle { stop_at, ..ChildHandle::new("learner", &[], None) };
+        for (minutes, left) in [(0, "7200000ms"), (90, "1800000ms"), (121, "1ms")] {
+            let now = begun + Duration::from_mins(minutes);
+            assert_eq!(learner.time_left(now), ["--stop-after", left]);
+        }
+        assert!(actor().time_left(begun).is_empty());
     }
 
     #[tokio::test]

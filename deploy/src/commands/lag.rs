@@ -3,10 +3,13 @@
 //! The lag is part of what a run is, so it is chosen before the run begins and stands in its configuration afterwards.
 
 use std::fs;
+use std::time::Duration;
 
+use anyhow::Context as _;
 use leadtime_config::{Config, Override};
 use leadtime_proto::Schedule;
 use leadtime_runs::launch::Launch;
+use leadtime_runs::policy_file::Fork;
 use leadtime_runs::{Naming, Placement, Tasks};
 use leadtime_table::Table;
 use serde_json::{Value, json};
@@ -20,7 +23,7 @@ use crate::output::{self, WIDTH};
 /// What is tried, in updates, fewest first: older policies make rollouts of less use.
 const TRIED: [i64; 4] = [1, 2, 4, 8];
 /// How long each is tried, its start included. Of its updates the first half is left out: actors join, caches fill.
-const TRIAL: &str = "4s";
+const TRIAL: Duration = Duration::from_secs(4);
 /// A lag is enough if it brings so much of what the best one brings.
 const ENOUGH: f64 = 0.95;
 
@@ -38,21 +41,28 @@ pub(super) async fn choose(
     shutdown: &CancellationToken,
 ) -> Result<Override, Failure> {
     refuse_without_a_choice(config)?;
+    // By its file: in the trials' own directory of runs nothing has its name.
+    let fork = args.run.fork.as_deref().map(|from| Fork::find(config, from));
+    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
     let folder = tempfile::tempdir().blame(ExitCode::WrongInput)?;
     let log = folder.path().join("log");
     let mut rates = Vec::new();
     for lag in TRIED {
-        output::note(&format!("Trying learner.lag = {lag} for {TRIAL}"));
-        let changes = [
+        output::note(&format!("Trying learner.lag = {lag} for {TRIAL:?}"));
+        let mut changes = vec![
             Override::new("learner.lag", lag),
             Override::new("run.directory", folder.path().to_string_lossy().into_owned()),
             Override::new("run.name", format!("lag-{lag}")),
         ];
+        if !args.listen.is_empty() {
+            // The others join the run, and not its trials.
+            changes.push(Override::new("run.actors_min", 1));
+        }
         let source = args.source.changed(&changes);
         let trial = source.load(tasks, None).blame(ExitCode::WrongInput)?;
         let what = Launch {
-            fork: args.run.fork.as_deref(),
-            stop_after: Some(TRIAL.to_owned()),
+            fork: fork.as_deref(),
+            stop_in: Some(TRIAL),
             stderr_log: Some(log.clone()),
             placement: placement.clone(),
             ..Launch::new(Naming::Resume, args.actors)
@@ -71,7 +81,7 @@ pub(super) async fn choose(
         let metrics = fs::read_to_string(run.join("metrics.jsonl")).blame(ExitCode::WrongInput)?;
         let rate = rate(&metrics).ok_or_else(|| {
             Failure::input(format!(
-                "--choose-lag: no update was made within {TRIAL} of the start; leave the option out, and set \
+                "--choose-lag: no update was made within {TRIAL:?} of the start; leave the option out, and set \
                  learner.lag by hand"
             ))
         })?;

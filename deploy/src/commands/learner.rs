@@ -1,19 +1,18 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use std::ffi::OsString;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_config::Config;
-use leadtime_learner::{RunEnd, RunReport};
+use leadtime_learner::{RunEnd, RunReport, RunStop};
 use leadtime_link::{Endpoint, ListenSettings};
 use leadtime_process::{MetricsPipe, ProcessTrace, TraceFile, log_line};
 use leadtime_proto::hex;
 use leadtime_runs::findings::Findings;
 use leadtime_runs::held_out::held_out_evaluation;
-use leadtime_runs::policy_file::Fork;
 use leadtime_runs::record::books_sentence;
 use leadtime_runs::{
     ProgramBuild, ResultCause, RunDir, RunFiles, RunRecorder, RunResult, RunState, Tasks, clock,
@@ -40,13 +39,15 @@ const DEFAULT_ADDRESS: &str = "127.0.0.1:7447";
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
     let shutdown = watch(watched).blame(ExitCode::Failed)?;
+    // An end that was planned has no deadline: it ends when all is saved, with success.
+    let planned = shutdown.child_token();
     let config = args.run.load(tasks, &args.source).blame(ExitCode::WrongInput)?;
     let listen = listening(args).blame(ExitCode::WrongInput)?;
     let status = bind_status(args.status.as_deref()).await?;
     // A supervisor has made the file.
     let trace = args.run.trace.file.as_deref();
     let made = TraceFile::create(trace.filter(|_| !args.supervised)).blame(ExitCode::WrongInput)?;
-    let drained = drain_on_request(&shutdown).blame(ExitCode::Failed)?;
+    let drained = drain_on_request(&planned).blame(ExitCode::Failed)?;
     let build = build::this_build()?;
     let (mut run_dir, state) = open(&config, args, &build)?;
     log_line::is_about_run(run_dir.name.as_str());
@@ -72,16 +73,11 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     let time_is_up = args
         .run
         .stop_after
-        .map_or_else(CancellationToken::new, |stop_after| stop_in_time(stop_after, &shutdown));
+        .map_or_else(CancellationToken::new, |stop_after| stop_in_time(stop_after, &planned));
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
     let stop = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
-    let stop = stop.map(|n_updates| (n_updates, shutdown.clone()));
-    let facts = LearnerFacts {
-        run: run_dir.name.to_string(),
-        directory: run_dir.path.clone(),
-        checkpoint_interval: config.run.checkpoints.time,
-        certificate,
-    };
+    let stop = stop.map(|n_updates| (n_updates, planned.clone()));
+    let facts = facts(&run_dir, &config, certificate);
     let status = status.map(|server| LearnerStatus::serve(server, facts));
     let trace = ProcessTrace::join(trace, "learner", "learner");
     let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
@@ -90,7 +86,8 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         sink.hand_on(MetricsPipe::start(command).context("--metrics-to").blame(ExitCode::Failed)?);
     }
     let held_out = held_out_evaluation(&config, &tasks.registry);
-    let report = leadtime_learner::run(learner, Box::new(sink), held_out, shutdown.clone()).await;
+    let stop = RunStop { ask: planned, insist: shutdown.clone() };
+    let report = leadtime_learner::run(learner, Box::new(sink), held_out, stop).await;
     service::stopping();
     if let Some(told) = made.and_then(TraceFile::finish) {
         output::note(&told);
@@ -108,12 +105,22 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     concluded
 }
 
+/// Gathers what a status page says of the run itself.
+fn facts(run_dir: &RunDir, config: &Config, certificate: Option<PathBuf>) -> LearnerFacts {
+    LearnerFacts {
+        run: run_dir.name.to_string(),
+        directory: run_dir.path.clone(),
+        checkpoint_interval: config.run.checkpoints.time,
+        certificate,
+    }
+}
+
 /// Opens the files to which the run is recorded.
 fn open_recorder(run_dir: &RunDir, config: &Config) -> Result<RunRecorder, Failure> {
     let recorder = RunRecorder::open(&run_dir.path, config, run_dir.name.as_str())
         .with_context(|| format!("opening the files of {}", run_dir.path.display()))
         .blame(ExitCode::WrongInput)?;
-    Ok(recorder.keeping(run_dir.record.clone()))
+    Ok(recorder.keeping(run_dir))
 }
 
 /// Says that there is nothing to train, and what to do; as JSON, how the run ended.
@@ -139,8 +146,8 @@ fn open(
     args: &LearnerArgs,
     build: &ProgramBuild,
 ) -> Result<(RunDir, RunState), Failure> {
-    let fork = args.run.fork.as_deref().map(|from| Fork::read(config, from));
-    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?;
+    let fork = args.run.fork.as_deref().map(|from| RunDir::fork(config, from));
+    let fork = fork.transpose().context("--fork").blame(ExitCode::WrongInput)?.flatten();
     let opened = match args.run.changed_keys().as_slice() {
         [] => RunDir::open(config, fork.as_ref(), build),
         keys => RunDir::open_changed(config, keys, build),
@@ -161,10 +168,10 @@ fn write_report(tasks: &Tasks, config: &Config, run_dir: &RunDir) {
 }
 
 /// Asks the run to stop when its time is over; the token says that it was.
-fn stop_in_time(stop_after: StopAfter, shutdown: &CancellationToken) -> CancellationToken {
+fn stop_in_time(stop_after: StopAfter, planned: &CancellationToken) -> CancellationToken {
     let time_is_up = CancellationToken::new();
-    if let StopAfter::Time(time) = stop_after {
-        let (stop, told) = (shutdown.clone(), time_is_up.clone());
+    if let Some(time) = stop_after.time() {
+        let (stop, told) = (planned.clone(), time_is_up.clone());
         tokio::spawn(async move {
             tokio::time::sleep(time).await;
             tracing::info!("the time of --stop-after is over: finishing");

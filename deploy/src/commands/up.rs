@@ -19,7 +19,7 @@ use tokio_util::task::TaskTracker;
 use super::lag;
 use super::launch::{goes_on, launch_or_drain};
 use super::watch::{PageServer, beside};
-use crate::cli::UpArgs;
+use crate::cli::{StopAfter, UpArgs};
 use crate::credentials::{check_listening, guard_options};
 use crate::ending::{Watch, drain_on_request, unless_drained, watch};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -53,12 +53,14 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
     let guard = guard_options(&args.guard);
     let trace = args.run.trace.file.as_deref();
     let made = TraceFile::create(trace).blame(ExitCode::WrongInput)?;
+    let counted = args.run.stop_after.filter(|amount| amount.time().is_none());
     let what = Launch {
         observer: beside.is_some().then_some(&observe as &LearnerPlace),
         listen: &args.listen,
         guard: &guard,
         fork: args.run.fork.as_deref(),
-        stop_after: args.run.stop_after.map(|amount| amount.to_string()),
+        stop_after: counted.map(|amount| amount.to_string()),
+        stop_in: args.run.stop_after.and_then(StopAfter::time),
         changes: args.run.change.iter().map(ToString::to_string).collect(),
         metrics_to: args.run.metrics_to.as_deref(),
         trace,
