@@ -168,9 +168,8 @@ impl RunDir {
                 if state == RunState::Unfinished {
                     // The learning rate has fallen over another length so far: no single command gives the same weights.
                     let is_bent = config.learner.anneal && trained.n_saved > 0;
-                    let counts = |key: &str| {
-                        allowed.iter().any(|it| it == key) || (is_bent && key == TOTAL_STEPS)
-                    };
+                    let is_bending = |key: &str| is_bent && key == TOTAL_STEPS;
+                    let counts = |key: &str| is_bending(key) || allowed.iter().any(|it| it == key);
                     record.changes.extend(changed(&before, changes, counts, trained.n_saved));
                     // Somebody may have renamed or copied its directory.
                     name.as_str().clone_into(&mut record.name);
@@ -179,7 +178,7 @@ impl RunDir {
                 }
                 let is_to_be_noted = state == RunState::Unfinished;
                 let state = if is_opened { RunState::Unfinished } else { state };
-                let run = Self { name: name.clone(), record, is_to_be_noted, grown, lock, path };
+                let run = Self { path, name: name.clone(), record, is_to_be_noted, grown, lock };
                 return Ok((run, state));
             }
             kept = record.origin.filter(|_| fork.is_none());
@@ -190,7 +189,7 @@ impl RunDir {
         }
         let record = begin(&path, name, config, fork, kept, build).map_err(io)?;
         let (name, is_to_be_noted, grown) = (name.clone(), false, None);
-        Ok((Self { name, record, is_to_be_noted, grown, lock, path }, RunState::Fresh))
+        Ok((Self { path, name, record, is_to_be_noted, grown, lock }, RunState::Fresh))
     }
 
     /// Notes that its learner ends when its supervisor does, so that the next supervisor waits for it.
