@@ -206,7 +206,8 @@ impl SessionPlan {
         require("seconds_per_step", seconds_per_step, 1e-3, MAX_STEP)?;
         let stale_after = asked.stale_after.unwrap_or(patience.0.max(2.0 * seconds_per_step));
         require("stale_after", stale_after, 1e-3, MAX_PATIENCE)?;
-        let lost_after = asked.lost_after.unwrap_or(patience.1.max(2.0 * stale_after).min(MAX_PATIENCE));
+        let lost_after =
+            asked.lost_after.unwrap_or(patience.1.max(2.0 * stale_after).min(MAX_PATIENCE));
         require("lost_after", lost_after, stale_after, MAX_PATIENCE)?;
         let wrong = |key, given: &str, allowed: &str| OpenRefusal::Setting {
             key,

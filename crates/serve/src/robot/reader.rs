@@ -263,7 +263,10 @@ mod tests {
         let mut bench = Bench::new(RobotForm::Ros2);
         assert_eq!(bench.ros(0, OLD, 5, 0), Ok((1, 0.0, true)));
         let told = bench.ros(20, OLD, i64::MAX, 20).unwrap_err();
-        assert!(told.starts_with("the number of the source leaps to 9223372036854775807"), "{told}");
+        assert!(
+            told.starts_with("the number of the source leaps to 9223372036854775807"),
+            "{told}"
+        );
         assert_eq!(bench.ros(40, OLD, 6, 40), Ok((2, 0.04, false)));
         // Who counts there from now on is heard after a silence.
         assert_eq!(bench.ros(1_200, OLD, i64::MAX - 1, 1_200), Ok((3, 0.04, true)));
