@@ -56,6 +56,8 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     let pace = "--clock observation --seconds-per-step 0.03";
     let drive = format!("--connect {to} {pace} --episodes 4 --messages-to");
     place.finish(&["drive", &policy(), &drive, "m.jsonl"]).with_code(0);
+    let drive = format!("--connect {to} {pace} --episodes 2 --binary --client brief");
+    place.finish(&["drive", &policy(), &drive]).with_code(0);
     // Another client, as raw numbers, without an end; the recorder is killed while it is spoken to.
     let raw = format!("--connect {to} {pace} --binary --client raw --episodes 100000");
     let driving = place.start(&["drive", &policy(), &raw]);
@@ -95,6 +97,16 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     let sent = format!("replay r.mcap --connect {to} --live drive --json");
     let sent = place.finish(&[&sent]).with_code(0).json();
     assert_eq!(sent["sessions"][0]["replayed"], driven["recorded"]);
+    // One that took raw events is compared as well, though it is told less.
+    let sent = format!("replay r.mcap --connect {to} --live brief --json");
+    let sent = place.finish(&[&sent]).with_code(0).json();
+    let brief = of(&sessions, "brief").unwrap();
+    assert_eq!(sent["sessions"][0]["is_same_policy"], true, "{sent}");
+    assert_eq!(sent["sessions"][0]["replayed"], brief["recorded"]);
+    write_with_another_raw_event(&place, "r.mcap", "other.mcap");
+    let sent = format!("replay other.mcap --connect {to} --live brief");
+    let found = place.finish(&[&sent]).with_code(FAILED);
+    found.saying(&["in 1 session, something else is said than was recorded"]);
     drop(notifier);
     let other = repository("deploy/policies/piloting_hard.safetensors");
     let beside = place.finish(&["replay r.mcap --live drive --policy", &other]).with_code(0).stdout;
@@ -102,6 +114,31 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     assert!(beside.lines().all(|line| line.chars().count() <= 80), "{beside}");
     let own = place.finish(&["replay r.mcap --live drive --policy", &policy()]).with_code(0).stdout;
     assert!(own.contains("the same is said, event by event"), "{own}");
+}
+
+/// Writes a recording again, where one silence that was put as raw bytes is the end of something.
+fn write_with_another_raw_event(place: &Place, from: &str, to: &str) {
+    let read = RecordingFile::read(&*fs::read(place.path().join(from)).unwrap()).unwrap();
+    let mut changed = RecordingWriter::new(Vec::new(), "a test").unwrap();
+    let mut n_changed = 0;
+    for client in &read.clients {
+        for message in &client.messages {
+            let mut json: Value = serde_json::from_slice(&message.json).unwrap();
+            let is_raw = json["x_raw"].is_string() && client.name == "notifier/brief";
+            let is_first = n_changed == 0 && json["event"] == "silent";
+            if is_raw && is_first {
+                // The fifth byte says what happens.
+                let original = json["x_raw"].as_str().unwrap();
+                json["x_raw"] = format!("{}03{}", &original[..8], &original[10..]).into();
+                n_changed += 1;
+            }
+            let key = format!("leadtime/live/1/{}/{}", client.name, message.topic.as_str());
+            let text = if is_raw { json.to_string().into_bytes() } else { message.json.clone() };
+            changed.write(&key, message.topic, message.at, &text).unwrap();
+        }
+    }
+    assert_eq!(n_changed, 1, "there is silence in some step");
+    fs::write(place.path().join(to), changed.into_written().unwrap()).unwrap();
 }
 
 #[test]
@@ -148,6 +185,10 @@ fn another_word_in_a_recording_is_found() {
     recorder.finish(PATIENCE).with_code(0);
     drop(notifier);
     replayed(&place, "r.mcap");
+    // What was said is told at its time, but not where a program reads the results.
+    let paced = "replay r.mcap --speed 1";
+    assert!(place.finish(&[paced]).with_code(0).stdout.contains(" s  "), "{paced}");
+    place.finish(&[paced, "--json"]).with_code(0).json();
     let path = place.path().join("r.mcap");
     let whole = fs::read(&path).unwrap();
     // One sentence is another, in a file that is sound.
