@@ -6,7 +6,7 @@ use leadtime_link::live::LiveTopic;
 use leadtime_recording::{RecordedTopic, RecordingFile, RecordingWriter};
 use serde_json::{Value, json};
 
-use crate::notifier::{policy, serve};
+use crate::notifier::{link, policy, serve};
 use crate::support::{
     FAILED, PATIENCE, PEER_LOST, Place, Running, WRONG_INPUT, repository, signal, wait_for_words,
     wait_until,
@@ -239,6 +239,27 @@ fn another_word_in_a_recording_is_found() {
     place.finish(&["replay odd.mcap"]).with_code(0).saying(&["is damaged and is read up to there"]);
     let nobody = place.finish(&["replay r.mcap --live nobody"]).with_code(WRONG_INPUT);
     nobody.saying(&["holds no session of `nobody`; it is about: notifier/drive"]);
+}
+
+#[test]
+fn names_that_somebody_invents_keep_nobody_out_of_a_recording() {
+    let place = Place::new();
+    let _notifier = serve(&place, "");
+    let recorder = record(&place, "r.mcap", "");
+    let (runtime, somebody) = link(&place);
+    for i in 0..100 {
+        let key = format!("leadtime/live/1/notifier/invented-{i}/status");
+        let status = br#"{"session":"s","state":"silent","taken":0}"#;
+        somebody.put_at(&key, status, None).unwrap();
+    }
+    let drive = format!("--connect {} --max-speed --episodes 2 --client real", place.endpoint("n"));
+    place.finish(&["drive", &policy(), &drive]).with_code(0);
+    wait_for_sessions(&place, "r.mcap", |all| {
+        of(all, "real").is_some_and(|it| it["is_same_policy"] == true)
+    });
+    signal("INT", recorder.id());
+    recorder.finish(PATIENCE).with_code(0);
+    runtime.block_on(somebody.close()).unwrap();
 }
 
 #[test]
