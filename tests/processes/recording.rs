@@ -88,6 +88,15 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
         let (_, after) = rest.split_once(text).unwrap_or_else(|| panic!("no {line} in {said}"));
         rest = after;
     }
+    // Time is counted in steps.
+    place.finish(&["play r.mcap -o part.txt --frames 0..1"]).with_code(0);
+    let part = fs::read_to_string(place.path().join("part.txt")).unwrap();
+    let times = |text: &str| -> Vec<f64> {
+        text.lines().filter_map(|line| line.split_once("s  ")?.0.trim().parse().ok()).collect()
+    };
+    let (all, part) = (times(&said), times(&part));
+    assert!(part.iter().all(|time| *time < 1.0) && part.len() < all.len(), "{part:?} of {all:?}");
+    assert_eq!(part.len(), all.iter().filter(|time| **time < 1.0).count());
     place.finish(&["play r.mcap -o said.svg --frames 0..24"]).with_code(0);
     let drawn = fs::read_to_string(place.path().join("said.svg")).unwrap();
     assert!(drawn.contains("what was said when") && drawn.contains(">says<"), "{drawn}");
@@ -284,11 +293,21 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
 
     let replay = |file: &str| place.finish(&["replay", file]).with_code(WRONG_INPUT);
     replay("none.mcap").saying(&["none.mcap"]);
+    for given in ["--service other", "--client me", "--connect-timeout 9s", "--tls pki/me"] {
+        let alone = place.finish(&["replay none.mcap", given]).with_code(WRONG_INPUT);
+        alone.saying(&["--connect"]);
+    }
     replay("kept.mcap").saying(&["kept.mcap", "it is no MCAP file"]);
     record("-o empty.mcap --stop-after 10ms").with_code(0);
     replay("empty.mcap").saying(&["empty.mcap"]);
     let drawn = place.finish(&["play kept.mcap -o a.png"]).with_code(WRONG_INPUT);
     drawn.saying(&["it is no MCAP file"]);
+    for given in
+        ["--words lander", "--baseline unaided", "--set a=1", "--action greedy", "--eval-seed 3"]
+    {
+        let refused = place.finish(&["play kept.mcap -o a.png", given]).with_code(WRONG_INPUT);
+        refused.saying(&[given.split_once(' ').unwrap().0, "changes nothing in a recording"]);
+    }
 }
 
 #[test]

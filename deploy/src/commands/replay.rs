@@ -38,6 +38,9 @@ const MAX_ROWS: usize = 24;
 const MESSAGE_WIDTH: usize = 30;
 
 pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure> {
+    if args.connect.is_empty() && args.notifier.tls.tls.is_some() {
+        return Err(Failure::input("--tls: nobody is asked without --connect"));
+    }
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let sessions = recorded::read(&args.file, args.live.as_ref())?;
     let pace = ReplayPace { speed: args.speed, is_told: !args.json, stop: shutdown.clone() };
