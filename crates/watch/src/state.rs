@@ -604,7 +604,8 @@ impl RunView {
             "staleness": newest,
             "staleness_100": sum,
             "clip_by_staleness": self.last.get("clip_by_staleness").and_then(shares_of),
-            "refusals": self.last.get("refusals").cloned().unwrap_or_else(|| json!({})),
+            // A page goes through its entries, whatever a learner tells.
+            "refusals": self.last.get("refusals").and_then(Value::as_object).cloned().unwrap_or_default(),
             "phases": self.phases(),
             "books": self.books(),
         })

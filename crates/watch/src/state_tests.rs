@@ -84,6 +84,12 @@ fn phases_books_and_staleness_come_with_an_update() {
     broken.insert("books/trained".to_owned(), json!(1));
     view.update(broken, 1004.0);
     assert_eq!(view.update_json(1004.0)["books"]["balanced"], false);
+    for odd in [Value::Null, json!(3), json!([1])] {
+        let mut line = object(line(5));
+        line.insert("refusals".to_owned(), odd);
+        view.update(line, 1005.0);
+        assert_eq!(view.update_json(1005.0)["refusals"], json!({}), "what a page can read");
+    }
 }
 
 #[test]
