@@ -250,6 +250,18 @@ fn another_word_in_a_recording_is_found() {
     nobody.saying(&["holds no session of `nobody`; it is about: notifier/drive"]);
 }
 
+/// Made anew by `examples/live/record_flight.sh` where this fails because its policy was replaced.
+#[test]
+fn the_flight_that_was_recorded_for_the_documentation_is_said_again() {
+    let place = Place::new();
+    // The recording names its policy from the root of the repository.
+    std::os::unix::fs::symlink(repository("deploy"), place.path().join("deploy")).unwrap();
+    let sessions = replayed(&place, &repository("examples/live/flight.mcap"));
+    let flight = of(&sessions, "flight").unwrap();
+    assert!(flight["events"].as_u64() > Some(20), "{flight}");
+    assert_eq!(flight["observations_not_compared"], 0);
+}
+
 #[test]
 fn names_that_somebody_invents_keep_nobody_out_of_a_recording() {
     let place = Place::new();
