@@ -521,7 +521,7 @@ function showPhases() {
 /** @type {Record<string, string>} */
 const FATES = {
   trained: 'trained on', dropped_stale: 'too stale', refused: 'refused', superseded: 'superseded',
-  rolled_back: 'rolled back', on_their_way: 'on their way',
+  rolled_back: 'rolled back', on_their_way: 'on their way', unused_at_end: 'unused at the end',
 };
 
 function showBooks() {
