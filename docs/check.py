@@ -27,7 +27,7 @@ RECORDS = [ROOT / "ARCHITECTURE.md", ROOT / "bench/README.md", *sorted((ROOT / "
            *sorted((ROOT / "docs/decisions").glob("*.md"))]
 # What needs something that is not there, and why it is not run.
 SKIPPED = {"http://": "a language model's server", "<": "a form", "TASK": "a form", "tls/": "certificates", "$": "variables of a script",
-           "HOST": "another machine", "examples/live": "needs a notifier; .ci/run lets both meet", "-m leadtime": "the Python package",
+           "HOST": "another machine", "examples/live/client": "needs a notifier; .ci/run lets both meet", "-m leadtime": "the Python package",
            "-c python": "the Python package and Gymnasium"}
 if not find_spec("numpy"):
     SKIPPED["python3"] = "no numpy here"
@@ -37,7 +37,7 @@ if not CORRIDOR.exists():
 EXPECTED = {"leadtime runs compare one four": "weights: equal", "leadtime serve ": "One observation of", "leadtime check ": "configuration",
             "leadtime describe ": "bservation", "python3 examples/decide.py": "decisions reproduced",
             "leadtime conformance ": "passed", "leadtime eval --truth": "in turn, if true", "leadtime eval ": "success", "leadtime probe ": "d_r",
-            "leadtime replay ": "replayed", "leadtime play examples/": "1 session",
+            "leadtime replay ": "replayed", "leadtime play examples/": ": session ",
             "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings", "leadtime race": "whole trainings"}
 SECONDS = 300
 

@@ -533,6 +533,8 @@ fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
     assert!(!same.contains("this task is not the one"), "{same}");
     let described = place.finish(&["serve", &policy(), "--describe --json"]).with_code(0).json();
     assert_eq!(described["properties"]["obs"]["maxItems"], 8);
+    let other = place.finish(&["serve", &policy(), "--describe --json --obs-key foo"]).with_code(2);
+    other.saying(&["--describe", "--obs-key"]);
     let quiet = place.finish(&["serve", &policy(), "--describe"]).with_code(0).stdout;
     assert!(quiet.contains("Topics: ascend, shift_left, shift_right, descend"), "{quiet}");
     let driving = repository("deploy/policies/driving.safetensors");

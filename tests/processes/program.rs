@@ -295,6 +295,8 @@ fn a_trained_policy_can_be_evaluated_and_runs_compared() {
     assert_eq!(evaluated["comparison"]["summaries"][0]["n_episodes"], 8);
     let again = place.finish(&[eval, "--json"]).with_code(0).json();
     assert_eq!(evaluated, again, "an evaluation is reproducible");
+    let heard = place.finish(&["eval r --transcript"]).with_code(2);
+    heard.saying(&["no messages are sent in `cartpole`, so there is nothing to hear"]);
     let of_training = "seed 1 is that of its training";
     place.finish(&[eval, "--eval-seed 1"]).with_code(0).saying(&[of_training]);
     let report = "report r --episodes 2 --out own.html --eval-seed 1";
@@ -438,7 +440,9 @@ fn a_film_is_what_ffmpeg_makes_of_the_moving_picture() {
         place.start_with(command).finish(PATIENCE)
     };
     let bin = place.file("bin");
-    draw(&bin, "a.mp4").with_code(2).saying(&["an mp4 needs ffmpeg: install it, or draw a gif"]);
+    let missing = draw(&bin, "a.mp4").with_code(2);
+    let missing = missing.saying(&["an mp4 needs ffmpeg: install it, or draw a gif"]);
+    assert!(!missing.stderr.contains("os error"), "{}", missing.stderr);
     assert!(!place.path().join("a.mp4").exists());
 
     let usual = std::env::var("PATH").unwrap();

@@ -6,7 +6,7 @@ use leadtime_link::live::LiveTopic;
 use leadtime_recording::{RecordedTopic, RecordingFile, RecordingWriter};
 use serde_json::{Value, json};
 
-use crate::notifier::{policy, serve};
+use crate::notifier::{link, policy, serve};
 use crate::support::{
     FAILED, PATIENCE, PEER_LOST, Place, Running, WRONG_INPUT, repository, signal, wait_for_words,
     wait_until,
@@ -56,6 +56,8 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     let pace = "--clock observation --seconds-per-step 0.03";
     let drive = format!("--connect {to} {pace} --episodes 4 --messages-to");
     place.finish(&["drive", &policy(), &drive, "m.jsonl"]).with_code(0);
+    let drive = format!("--connect {to} {pace} --episodes 2 --binary --client brief");
+    place.finish(&["drive", &policy(), &drive]).with_code(0);
     // Another client, as raw numbers, without an end; the recorder is killed while it is spoken to.
     let raw = format!("--connect {to} {pace} --binary --client raw --episodes 100000");
     let driving = place.start(&["drive", &policy(), &raw]);
@@ -86,6 +88,15 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
         let (_, after) = rest.split_once(text).unwrap_or_else(|| panic!("no {line} in {said}"));
         rest = after;
     }
+    // Time is counted in steps.
+    place.finish(&["play r.mcap -o part.txt --frames 0..1"]).with_code(0);
+    let part = fs::read_to_string(place.path().join("part.txt")).unwrap();
+    let times = |text: &str| -> Vec<f64> {
+        text.lines().filter_map(|line| line.split_once("s  ")?.0.trim().parse().ok()).collect()
+    };
+    let (all, part) = (times(&said), times(&part));
+    assert!(part.iter().all(|time| *time < 1.0) && part.len() < all.len(), "{part:?} of {all:?}");
+    assert_eq!(part.len(), all.iter().filter(|time| **time < 1.0).count());
     place.finish(&["play r.mcap -o said.svg --frames 0..24"]).with_code(0);
     let drawn = fs::read_to_string(place.path().join("said.svg")).unwrap();
     assert!(drawn.contains("what was said when") && drawn.contains(">says<"), "{drawn}");
@@ -95,6 +106,16 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     let sent = format!("replay r.mcap --connect {to} --live drive --json");
     let sent = place.finish(&[&sent]).with_code(0).json();
     assert_eq!(sent["sessions"][0]["replayed"], driven["recorded"]);
+    // One that took raw events is compared as well, though it is told less.
+    let sent = format!("replay r.mcap --connect {to} --live brief --json");
+    let sent = place.finish(&[&sent]).with_code(0).json();
+    let brief = of(&sessions, "brief").unwrap();
+    assert_eq!(sent["sessions"][0]["is_same_policy"], true, "{sent}");
+    assert_eq!(sent["sessions"][0]["replayed"], brief["recorded"]);
+    write_with_another_raw_event(&place, "r.mcap", "other.mcap");
+    let sent = format!("replay other.mcap --connect {to} --live brief");
+    let found = place.finish(&[&sent]).with_code(FAILED);
+    found.saying(&["in 1 session, something else is said than was recorded"]);
     drop(notifier);
     let other = repository("deploy/policies/piloting_hard.safetensors");
     let beside = place.finish(&["replay r.mcap --live drive --policy", &other]).with_code(0).stdout;
@@ -102,6 +123,31 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
     assert!(beside.lines().all(|line| line.chars().count() <= 80), "{beside}");
     let own = place.finish(&["replay r.mcap --live drive --policy", &policy()]).with_code(0).stdout;
     assert!(own.contains("the same is said, event by event"), "{own}");
+}
+
+/// Writes a recording again, where one silence that was put as raw bytes is the end of something.
+fn write_with_another_raw_event(place: &Place, from: &str, to: &str) {
+    let read = RecordingFile::read(&*fs::read(place.path().join(from)).unwrap()).unwrap();
+    let mut changed = RecordingWriter::new(Vec::new(), "a test").unwrap();
+    let mut n_changed = 0;
+    for client in &read.clients {
+        for message in &client.messages {
+            let mut json: Value = serde_json::from_slice(&message.json).unwrap();
+            let is_raw = json["x_raw"].is_string() && client.name == "notifier/brief";
+            let is_first = n_changed == 0 && json["event"] == "silent";
+            if is_raw && is_first {
+                // The fifth byte says what happens.
+                let original = json["x_raw"].as_str().unwrap();
+                json["x_raw"] = format!("{}03{}", &original[..8], &original[10..]).into();
+                n_changed += 1;
+            }
+            let key = format!("leadtime/live/1/{}/{}", client.name, message.topic.as_str());
+            let text = if is_raw { json.to_string().into_bytes() } else { message.json.clone() };
+            changed.write(&key, message.topic, message.at, &text).unwrap();
+        }
+    }
+    assert_eq!(n_changed, 1, "there is silence in some step");
+    fs::write(place.path().join(to), changed.into_written().unwrap()).unwrap();
 }
 
 #[test]
@@ -148,6 +194,10 @@ fn another_word_in_a_recording_is_found() {
     recorder.finish(PATIENCE).with_code(0);
     drop(notifier);
     replayed(&place, "r.mcap");
+    // What was said is told at its time, but not where a program reads the results.
+    let paced = "replay r.mcap --speed 1";
+    assert!(place.finish(&[paced]).with_code(0).stdout.contains(" s  "), "{paced}");
+    place.finish(&[paced, "--json"]).with_code(0).json();
     let path = place.path().join("r.mcap");
     let whole = fs::read(&path).unwrap();
     // One sentence is another, in a file that is sound.
@@ -200,6 +250,39 @@ fn another_word_in_a_recording_is_found() {
     nobody.saying(&["holds no session of `nobody`; it is about: notifier/drive"]);
 }
 
+/// Made anew by `examples/live/record_flight.sh` where this fails because its policy was replaced.
+#[test]
+fn the_flight_that_was_recorded_for_the_documentation_is_said_again() {
+    let place = Place::new();
+    // The recording names its policy from the root of the repository.
+    std::os::unix::fs::symlink(repository("deploy"), place.path().join("deploy")).unwrap();
+    let sessions = replayed(&place, &repository("examples/live/flight.mcap"));
+    let flight = of(&sessions, "flight").unwrap();
+    assert!(flight["events"].as_u64() > Some(20), "{flight}");
+    assert_eq!(flight["observations_not_compared"], 0);
+}
+
+#[test]
+fn names_that_somebody_invents_keep_nobody_out_of_a_recording() {
+    let place = Place::new();
+    let _notifier = serve(&place, "");
+    let recorder = record(&place, "r.mcap", "");
+    let (runtime, somebody) = link(&place);
+    for i in 0..100 {
+        let key = format!("leadtime/live/1/notifier/invented-{i}/status");
+        let status = br#"{"session":"s","state":"silent","taken":0}"#;
+        somebody.put_at(&key, status, None).unwrap();
+    }
+    let drive = format!("--connect {} --max-speed --episodes 2 --client real", place.endpoint("n"));
+    place.finish(&["drive", &policy(), &drive]).with_code(0);
+    wait_for_sessions(&place, "r.mcap", |all| {
+        of(all, "real").is_some_and(|it| it["is_same_policy"] == true)
+    });
+    signal("INT", recorder.id());
+    recorder.finish(PATIENCE).with_code(0);
+    runtime.block_on(somebody.close()).unwrap();
+}
+
 #[test]
 fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
     let place = Place::new();
@@ -222,11 +305,21 @@ fn a_recorder_that_cannot_record_says_so_and_overwrites_nothing() {
 
     let replay = |file: &str| place.finish(&["replay", file]).with_code(WRONG_INPUT);
     replay("none.mcap").saying(&["none.mcap"]);
+    for given in ["--service other", "--client me", "--connect-timeout 9s", "--tls pki/me"] {
+        let alone = place.finish(&["replay none.mcap", given]).with_code(WRONG_INPUT);
+        alone.saying(&["--connect"]);
+    }
     replay("kept.mcap").saying(&["kept.mcap", "it is no MCAP file"]);
     record("-o empty.mcap --stop-after 10ms").with_code(0);
     replay("empty.mcap").saying(&["empty.mcap"]);
     let drawn = place.finish(&["play kept.mcap -o a.png"]).with_code(WRONG_INPUT);
     drawn.saying(&["it is no MCAP file"]);
+    for given in
+        ["--words lander", "--baseline unaided", "--set a=1", "--action greedy", "--eval-seed 3"]
+    {
+        let refused = place.finish(&["play kept.mcap -o a.png", given]).with_code(WRONG_INPUT);
+        refused.saying(&[given.split_once(' ').unwrap().0, "changes nothing in a recording"]);
+    }
 }
 
 #[test]

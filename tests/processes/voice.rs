@@ -255,6 +255,8 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
     let again = place.finish(&["taxonomy speak lander -o spoken"]).with_code(2);
     again.saying(&["spoken holds sound.wav already, which is left as it is: choose another -o"]);
     place.finish(&["taxonomy speak lander --voice flite:nobody -o other"]).with_code(2);
+    let mute = place.finish(&["taxonomy speak lander --voice text -o other"]).with_code(2);
+    mute.saying(&["--voice text speaks nothing anew: use flite[:VOICE], espeak or pipe:COMMAND"]);
     assert!(!place.path().join("other").exists());
     let _notifier = serve(&place, &["--voice", "recorded:spoken"]);
     let mut listener = Listener::open(&place, &json!({}));

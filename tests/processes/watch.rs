@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use serde_json::Value;
 
-use crate::support::{PATIENCE, Place, Running, get, outcome, signal, wait_until};
+use crate::support::{PATIENCE, Place, Running, get, outcome, result, signal, wait_until};
 
 /// A run that lasts until it is ended.
 const LONG: &str = "-c cartpole --steps 5e7 --set learner.n_steps=32 --set run.checkpoint_every=10";
@@ -106,6 +106,12 @@ fn a_finished_run_is_shown_from_its_directory() {
     let seen = place.finish(&["watch done --once --json"]).with_code(0).json();
     assert_eq!(seen["state"]["state"], "finished");
     assert_eq!(seen["state"]["update"], seen["state"]["total_updates"]);
+    // Its books are those that it ended with.
+    let (books, kept) = (&seen["update"]["books"], result(&place.run("done"))["books"].clone());
+    assert_eq!(books["published"], kept["published"], "{books} {kept}");
+    assert_eq!(books["balanced"], true, "{books}");
+    let unused = books["entries"].as_array().unwrap().last().unwrap();
+    assert_eq!((&unused[0], &unused[1]), (&"unused_at_end".into(), &kept["unused_at_end"]));
     // A torn last line is left out and counted; a directory without metrics has no update yet.
     let metrics = place.run("done").join("metrics.jsonl");
     let text = fs::read_to_string(&metrics).unwrap();
@@ -257,7 +263,10 @@ fn a_run_that_cannot_be_watched_is_reported_in_one_sentence() {
             "needs a certificate",
         ),
         (format!("watch --connect {at} --http 8080"), 2, "`8080` is not an address"),
+        (format!("watch --connect {at} --http {taken}"), 2, "--http: "),
         (format!("watch --connect {at} --http {taken}"), 2, "is in use"),
+        (format!("up -c cartpole --watch {taken}"), 2, "--watch: "),
+        (format!("up -c cartpole --watch {taken}"), 2, "is in use"),
         (format!("watch --connect {at} --http 0.0.0.0:0"), 2, "--token auto"),
         (format!("watch --connect {at} --token short"), 2, "--token"),
         (format!("watch --connect {at} --once --http 127.0.0.1:0"), 2, "cannot be used with"),

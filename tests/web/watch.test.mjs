@@ -315,6 +315,38 @@ test('a playthrough speaks', async (t) => {
   assert.deepEqual(complaints, []);
 });
 
+test('an episode that begins while the picture is paused is drawn once it goes on', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  // From here on the page hears what this test tells it, at its next question.
+  const [queue, asked] = [[], { times: 0 }];
+  await page.route('**/events', (route) => {
+    asked.times += 1;
+    return route.fulfill({ contentType: 'text/event-stream', body: queue.shift() ?? '' });
+  });
+  await page.reload();
+  const event = (kind, data) => `event: ${kind}\ndata: ${JSON.stringify(data)}\n\n`;
+  const begin = (flight) => event('flight', { flight, version: flight, index: 0, view: [0, 0, 1, 1], still: [], gauge: { label: 'gauge' } });
+  const step = (flight, gauge) =>
+    event('frame', { flight, at: [0.5, 0.5], activity: 'own plan', said: null, reacting: null, pending: null, gauge, shapes: [], end: null });
+  const seen = async () => `${await text(page, 'flight-note')}: ${await text(page, 'doing')}`;
+  const first = 'version 1, episode 0: own plan \u00b7 gauge 1.00';
+  queue.push(begin(1) + step(1, 1));
+  await until('the first episode', async () => (await seen()) === first);
+  await page.locator('#pause').click();
+  queue.push(begin(2) + begin(3) + step(3, 2));
+  await until('the next question', () => queue.length === 0);
+  const before = asked.times;
+  await until('another one', () => asked.times > before);
+  assert.equal(await seen(), first, 'it stands still');
+  await page.locator('#pause').click();
+  assert.match(await seen(), /^version 3, episode 0/);
+  queue.push(step(3, 3));
+  await until('a step of the newest episode', async () => (await seen()) === 'version 3, episode 0: own plan \u00b7 gauge 3.00');
+});
+
 /** Lists texts whose contrast with what is behind them is below 4.5. */
 function illegible() {
   const channel = (value) => ((value /= 255) <= 0.03928 ? value / 12.92 : ((value + 0.055) / 1.055) ** 2.4);

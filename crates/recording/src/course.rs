@@ -1,5 +1,7 @@
 //! What was said when, read off a session's events.
 
+use std::collections::BTreeMap;
+
 use leadtime_serve::{HeardSay, SayEvent, StepClock};
 
 use crate::replay::StartedMessage;
@@ -56,11 +58,17 @@ impl SessionCourse {
         let is_stepped = session.clock() == Some(StepClock::Observation);
         let clock = CourseClock::new(session, is_stepped);
         let mut course = Self::default();
+        let inputs = || session.stretches.iter().flat_map(|stretch| &stretch.inputs);
+        let sent = inputs().filter_map(|input| input.observation.as_ref());
+        let episodes: BTreeMap<u64, u64> = sent.map(|sent| (sent.seq, sent.episode)).collect();
         for (at, event) in &session.events {
-            course.take(clock.of(event.seq, *at), event);
+            // A raw event does not state its episode: it is that of the observation that it is about.
+            let known = episodes.range(..=event.seq).next_back().map(|(_, episode)| *episode);
+            let episode = known.filter(|_| event.topic_id.is_some()).unwrap_or(event.episode);
+            course.take(clock.of(event.seq, *at), episode, event);
         }
-        let inputs = session.stretches.iter().flat_map(|stretch| &stretch.inputs);
-        for (input, sent) in inputs.filter_map(|input| Some((input, input.observation.as_ref()?))) {
+        for (input, sent) in inputs().filter_map(|input| Some((input, input.observation.as_ref()?)))
+        {
             let time = clock.of(sent.seq, input.at);
             if course.episodes.last().is_none_or(|(_, episode)| *episode != sent.episode) {
                 course.episodes.push((time, sent.episode));
@@ -81,12 +89,12 @@ impl SessionCourse {
         course
     }
 
-    fn take(&mut self, time: f64, event: &HeardSay) {
+    fn take(&mut self, time: f64, episode: u64, event: &HeardSay) {
         self.end = self.end.max(time);
         let running = self.utterances.last_mut().filter(|it| it.end.is_none());
         match (event.event, running) {
             (SayEvent::Start, _) => self.utterances.push(RecordedUtterance {
-                message: StartedMessage::of(event, event.episode),
+                message: StartedMessage::of(event, episode),
                 start: time,
                 understood: None,
                 end: None,
@@ -133,5 +141,60 @@ impl CourseClock {
             Some(seconds) => seq.saturating_sub(self.first_seq) as f64 * seconds,
             None => at.saturating_sub(self.first_at) as f64 * 1e-9,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_link::live::ArrivalEncoding;
+    use leadtime_serve::TakenInput;
+
+    use super::*;
+    use crate::message::SentObservation;
+    use crate::sessions::{RecordedInput, Stretch};
+
+    /// An observation of an episode.
+    fn observed(seq: u64, episode: u64) -> RecordedInput {
+        let encoding = ArrivalEncoding::Binary;
+        let (values, payload, beside) = (Vec::new(), Vec::new(), None);
+        let sent = SentObservation { seq, episode, values, encoding, payload, beside };
+        let (input, observation) =
+            (TakenInput::Observation { at: 0, is_other_clock: false }, Some(sent));
+        let (events, n_said) = (Vec::new(), None);
+        RecordedInput { input, now: 0, step: 0, at: 0, observation, events, n_said }
+    }
+
+    /// The start of a message, which states episode 7 unless it is raw.
+    fn started(seq: u64, topic_id: Option<u8>) -> (u64, HeardSay) {
+        let json = format!(r#"{{"seq":{seq},"step":0,"event":"start","utterance":1,"episode":7}}"#);
+        let event = HeardSay::read(json.as_bytes()).unwrap();
+        let episode = if topic_id.is_some() { 0 } else { event.episode };
+        (seq, HeardSay { topic_id, episode, ..event })
+    }
+
+    #[test]
+    fn a_raw_message_is_of_the_episode_of_its_observation() {
+        let inputs = vec![observed(1, 0), observed(3, 5), observed(6, 6)];
+        let session = RecordedSession {
+            client: "n/c".to_owned(),
+            id: "s".to_owned(),
+            start: String::new(),
+            note: None,
+            stretches: vec![Stretch { is_beginning: true, inputs }],
+            n_observations: 3,
+            n_apart: 0,
+            events: vec![
+                started(1, Some(2)),
+                started(3, Some(2)),
+                started(4, Some(2)),
+                started(6, Some(2)),
+                started(6, None),
+            ],
+            statuses: Vec::new(),
+            gaps: BTreeMap::new(),
+        };
+        let course = SessionCourse::of(&session);
+        let episodes = course.utterances.iter().map(|it| it.message.episode);
+        assert_eq!(episodes.collect::<Vec<_>>(), [0, 5, 5, 6, 7]);
     }
 }

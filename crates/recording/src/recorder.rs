@@ -1,9 +1,12 @@
 //! From what is published to a file: every message on its channel, and every session with what it is.
+//!
+//! Anybody may invent names. So of those that the notifier says nothing of only some have a place in the file, and each of them
+//! is asked for once a second, the one that has waited longest first.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 
-use leadtime_link::live::{LiveKey, LiveSample, LiveTopic};
+use leadtime_link::live::{ArrivalEncoding, LiveKey, LiveSample, LiveTopic};
 use leadtime_proto::{ClientName, ServiceName};
 use leadtime_serve::TakenLine;
 use serde_json::Value;
@@ -12,6 +15,13 @@ use crate::error::Error;
 use crate::message::record;
 use crate::topic::RecordedTopic;
 use crate::write::RecordingWriter;
+
+/// How many clients have a place in the file, whether or not the notifier says anything of them.
+const MAX_UNKNOWN: usize = 1_024;
+/// How many clients have one at all, and of how many it is known what they are. Of each there are six channels at most.
+const MAX_CLIENTS: usize = 8_192;
+/// How often it is asked what a client's session is, in nanoseconds.
+const ASK_EVERY: u64 = 1_000_000_000;
 
 /// What is known of a client's session in one start of the notifier.
 #[derive(Debug)]
@@ -24,12 +34,20 @@ struct SeenSession {
     /// Whether the recording has it from its first observation on.
     has_beginning: bool,
     is_recorded: bool,
+    /// From when on the notifier may be asked what it is, in nanoseconds since 1970.
+    ask_at: u64,
 }
 
 impl SeenSession {
-    fn new(id: &str) -> Self {
+    fn new(id: &str, ask_at: u64) -> Self {
         let (id, start) = (id.to_owned(), String::new());
-        Self { id, start, last_line: 0, has_beginning: false, is_recorded: false }
+        Self { id, start, last_line: 0, has_beginning: false, is_recorded: false, ask_at }
+    }
+
+    /// Returns whether it is time to ask what it is; a clock that was set back keeps nobody waiting.
+    fn is_due(&self, now: u64) -> bool {
+        let wait = self.ask_at.saturating_sub(now);
+        !self.is_recorded && (wait == 0 || wait > ASK_EVERY)
     }
 }
 
@@ -39,13 +57,17 @@ pub struct LiveRecorder<W: Write> {
     writer: RecordingWriter<W>,
     service: ServiceName,
     sessions: BTreeMap<ClientName, SeenSession>,
+    /// The clients that have a place in the file.
+    placed: BTreeSet<ClientName>,
     n_sessions: usize,
+    n_passed_over: u64,
 }
 
 impl<W: Write> LiveRecorder<W> {
     /// Records the clients of a notifier.
     pub fn new(writer: RecordingWriter<W>, service: ServiceName) -> Self {
-        Self { writer, service, sessions: BTreeMap::new(), n_sessions: 0 }
+        let (sessions, placed) = (BTreeMap::new(), BTreeSet::new());
+        Self { writer, service, sessions, placed, n_sessions: 0, n_passed_over: 0 }
     }
 
     /// Writes a message that arrived at `at`, in nanoseconds since 1970.
@@ -54,32 +76,66 @@ impl<W: Write> LiveRecorder<W> {
     ///
     /// [`Error::Write`] if the file cannot be written, with what the system reports.
     pub fn take(&mut self, at: u64, sample: &LiveSample) -> Result<(), Error> {
-        let LiveSample { client, topic, arrival } = sample;
+        let LiveSample { client, topic, arrival, .. } = sample;
         let (payload, beside) = (arrival.payload(), arrival.attachment());
-        match topic {
-            LiveTopic::Taken => return self.take_lines(at, client, &payload),
-            LiveTopic::Status => self.look_at_status(client, &payload),
-            LiveTopic::Observations | LiveTopic::Say | LiveTopic::Heard => {}
-        }
-        let json = record(*topic, &arrival.encoding(), &payload, beside.as_deref());
-        let key = topic.key(&self.service, client).to_string();
-        self.writer.write(&key, RecordedTopic::Live(*topic), at, &json)
+        self.take_message(at, client, *topic, &arrival.encoding(), (&*payload, beside.as_deref()))
     }
 
-    /// Writes the lines of a message that are new: each message repeats some.
-    fn take_lines(&mut self, at: u64, client: &ClientName, payload: &[u8]) -> Result<(), Error> {
+    /// Writes a message: its bytes, and those beside it.
+    fn take_message(
+        &mut self,
+        at: u64,
+        client: &ClientName,
+        topic: LiveTopic,
+        encoding: &ArrivalEncoding,
+        (payload, beside): (&[u8], Option<&[u8]>),
+    ) -> Result<(), Error> {
+        let is_placed = self.place(client);
+        self.n_passed_over += u64::from(!is_placed);
+        match topic {
+            LiveTopic::Taken => return self.take_lines(at, client, payload, is_placed),
+            LiveTopic::Status => self.look_at_status(at, client, payload, is_placed),
+            LiveTopic::Observations | LiveTopic::Say | LiveTopic::Heard => {}
+        }
+        if !is_placed {
+            return Ok(());
+        }
+        let json = record(topic, encoding, payload, beside);
+        let key = topic.key(&self.service, client).to_string();
+        self.writer.write(&key, RecordedTopic::Live(topic), at, &json)
+    }
+
+    /// Gives a client a place in the file; `false` if it gets none, or none before the notifier says what it is.
+    fn place(&mut self, client: &ClientName) -> bool {
+        if self.placed.contains(client) {
+            return true;
+        }
+        let is_known = self.sessions.get(client).is_some_and(|seen| seen.is_recorded);
+        let has_room = self.placed.len() < if is_known { MAX_CLIENTS } else { MAX_UNKNOWN };
+        has_room && self.placed.insert(client.clone())
+    }
+
+    /// Writes the lines of a message that are new: each message repeats some. Of a client without a place it is only seen that
+    /// it has a session.
+    fn take_lines(
+        &mut self,
+        at: u64,
+        client: &ClientName,
+        payload: &[u8],
+        is_placed: bool,
+    ) -> Result<(), Error> {
         let Ok(lines) = serde_json::from_slice::<Vec<TakenLine<'_>>>(payload) else {
             return Ok(());
         };
         let key = LiveTopic::Taken.key(&self.service, client).to_string();
         for line in lines {
-            let seen = self.see(client, &line.session);
+            let Some(seen) = self.see(at, client, &line.session) else { continue };
             // A notifier that was started again goes on with the session, but counts from the beginning.
             if !seen.start.is_empty() && seen.start != line.start {
-                *seen = SeenSession::new(&line.session);
+                *seen = SeenSession::new(&line.session, seen.ask_at);
             }
             seen.start = line.start.clone().into_owned();
-            if line.n <= seen.last_line {
+            if line.n <= seen.last_line || !is_placed {
                 continue;
             }
             seen.last_line = line.n;
@@ -91,27 +147,45 @@ impl<W: Write> LiveRecorder<W> {
         Ok(())
     }
 
-    fn look_at_status(&mut self, client: &ClientName, payload: &[u8]) {
+    fn look_at_status(&mut self, at: u64, client: &ClientName, payload: &[u8], is_placed: bool) {
         let status: Value = serde_json::from_slice(payload).unwrap_or_default();
         if let Some(id) = status["session"].as_str() {
-            let is_new = status["taken"] == 0;
-            self.see(client, id).has_beginning |= is_new;
+            let is_new = status["taken"] == 0 && is_placed;
+            if let Some(seen) = self.see(at, client, id) {
+                seen.has_beginning |= is_new;
+            }
         }
     }
 
-    /// Notices a client's session.
-    fn see(&mut self, client: &ClientName, id: &str) -> &mut SeenSession {
-        let seen = self.sessions.entry(client.clone()).or_insert_with(|| SeenSession::new(id));
+    /// Notices a client's session; nothing where there are too many already, each with something that the notifier says of it
+    /// or not asked for yet.
+    fn see(&mut self, at: u64, client: &ClientName, id: &str) -> Option<&mut SeenSession> {
+        if self.sessions.len() >= MAX_CLIENTS && !self.sessions.contains_key(client) {
+            // One that was asked for in vain makes room.
+            let unknown = self.sessions.iter().filter(|(_, seen)| !seen.is_recorded);
+            let in_vain = unknown.filter(|(_, seen)| seen.ask_at > at).min_by_key(|it| it.1.ask_at);
+            let in_vain = in_vain?.0.clone();
+            self.sessions.remove(&in_vain);
+        }
+        let new = || SeenSession::new(id, at);
+        let seen = self.sessions.entry(client.clone()).or_insert_with(new);
         if seen.id != id {
-            *seen = SeenSession::new(id);
+            *seen = SeenSession::new(id, seen.ask_at);
         }
-        seen
+        Some(seen)
     }
 
-    /// Lists the clients whose session has to be asked for.
-    pub fn unknown(&self) -> Vec<ClientName> {
-        let unknown = self.sessions.iter().filter(|(_, seen)| !seen.is_recorded);
-        unknown.map(|(client, _)| client.clone()).collect()
+    /// Lists the clients whose session has to be asked for now, in nanoseconds since 1970, `n` at most: who has waited longest is
+    /// the first, and nobody is asked for twice within a second.
+    pub fn to_ask(&mut self, now: u64, n: usize) -> Vec<ClientName> {
+        let due = self.sessions.iter_mut().filter(|(_, seen)| seen.is_due(now));
+        let mut due: Vec<_> = due.collect();
+        due.sort_by_key(|(_, seen)| seen.ask_at);
+        let asked = due.into_iter().take(n).map(|(client, seen)| {
+            seen.ask_at = now.saturating_add(ASK_EVERY);
+            client.clone()
+        });
+        asked.collect()
     }
 
     /// Writes what the notifier says a session is.
@@ -131,6 +205,9 @@ impl<W: Write> LiveRecorder<W> {
         start.clone_into(&mut seen.start);
         seen.is_recorded = true;
         note["has_beginning"] = seen.has_beginning.into();
+        if !self.place(client) {
+            return Ok(());
+        }
         self.n_sessions += 1;
         let key = LiveKey::Session(&self.service, client).to_string();
         self.writer.write(&key, RecordedTopic::Session, at, note.to_string().as_bytes())
@@ -141,8 +218,79 @@ impl<W: Write> LiveRecorder<W> {
         (self.writer.n_messages(), self.n_sessions)
     }
 
+    /// Returns how many messages were passed over: of clients that the notifier says nothing of, where there are too many.
+    pub fn n_passed_over(&self) -> u64 {
+        self.n_passed_over + self.writer.n_passed_over()
+    }
+
     /// Returns the file, to flush and to finish it.
     pub fn writer(&mut self) -> &mut RecordingWriter<W> {
         &mut self.writer
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SECOND: u64 = ASK_EVERY;
+
+    fn recorder() -> LiveRecorder<Vec<u8>> {
+        let writer = RecordingWriter::new(Vec::new(), "a test").unwrap();
+        LiveRecorder::new(writer, ServiceName::new("notifier").unwrap())
+    }
+
+    fn name(i: usize) -> ClientName {
+        ClientName::new(format!("invented-{i:05}")).unwrap()
+    }
+
+    /// Lets a client have a status, which anybody can put.
+    fn status(recorder: &mut LiveRecorder<Vec<u8>>, at: u64, client: &ClientName) {
+        let status = br#"{"session":"s","state":"silent","taken":0}"#;
+        let encoding = ArrivalEncoding::Json;
+        recorder.take_message(at, client, LiveTopic::Status, &encoding, (status, None)).unwrap();
+    }
+
+    #[test]
+    fn invented_names_wait_for_their_turn_to_be_asked_for() {
+        let mut recorder = recorder();
+        (0..100).for_each(|i| status(&mut recorder, i as u64, &name(i)));
+        let real = ClientName::new("real").unwrap();
+        status(&mut recorder, 100, &real);
+        let first = recorder.to_ask(200, 64);
+        assert_eq!(first, (0..64).map(name).collect::<Vec<_>>());
+        let second = recorder.to_ask(201, 64);
+        assert_eq!((second.len(), second.last()), (37, Some(&real)));
+        assert!(recorder.to_ask(202, 64).is_empty());
+        let answer = br#"{"session":"s","start":"a"}"#;
+        recorder.note(300, &real, answer).unwrap();
+        assert_eq!(recorder.counts(), (102, 1));
+        let again = recorder.to_ask(300 + SECOND, 1_000);
+        assert_eq!(again, (0..100).map(name).collect::<Vec<_>>());
+        // A clock that is set back keeps nobody waiting.
+        assert_eq!(recorder.to_ask(3, 1_000).len(), 100);
+    }
+
+    #[test]
+    fn a_client_that_the_notifier_knows_has_a_place_beside_any_number_of_invented_names() {
+        let mut recorder = recorder();
+        let n = MAX_CLIENTS + 100;
+        for i in 0..n {
+            status(&mut recorder, i as u64, &name(i));
+            // Whoever is asked for in vain makes room.
+            if i % 64 == 63 {
+                recorder.to_ask(i as u64, 64);
+            }
+        }
+        assert_eq!(recorder.placed.len(), MAX_UNKNOWN);
+        assert_eq!(recorder.sessions.len(), MAX_CLIENTS);
+        assert_eq!(recorder.n_passed_over(), (n - MAX_UNKNOWN) as u64);
+        let real = ClientName::new("real").unwrap();
+        status(&mut recorder, SECOND, &real);
+        let (before, _) = recorder.counts();
+        assert!(recorder.to_ask(2 * SECOND, n).contains(&real));
+        recorder.note(2 * SECOND, &real, br#"{"session":"s","start":"a"}"#).unwrap();
+        status(&mut recorder, 2 * SECOND, &real);
+        assert_eq!(recorder.counts(), (before + 2, 1));
     }
 }

@@ -237,7 +237,6 @@ pub fn replay(
             (seq, episode) = (observation.seq, observation.episode);
             outcome.n_observations += 1;
         }
-        outcome.n_events += said.len() as u64;
         outcome.recorded.count(&input.events);
         outcome.replayed.count(&said);
         let started = |events: &[HeardSay]| -> Vec<StartedMessage> {
@@ -253,7 +252,9 @@ pub fn replay(
             }
             outcome.pairs.push(pair);
         }
-        match lost(input, &said) {
+        let n_lost = lost(input, &said);
+        outcome.n_events += said.len() as u64 - n_lost.unwrap_or(0);
+        match n_lost {
             Some(n_lost) => outcome.n_lost += n_lost,
             None if outcome.difference.is_none() => {
                 let (recorded, replayed) = (input.events.clone(), said);
@@ -358,6 +359,31 @@ mod tests {
         assert_eq!(lost(&swapped, &said), None);
         let other = HeardSay { text: "Climb.".to_owned(), ..start };
         assert_eq!(lost(&input(&[other], Some(2)), &said), None);
+    }
+
+    /// Says two events in response to everything.
+    struct Talkative([HeardSay; 2]);
+
+    impl ReplayTarget for Talkative {
+        fn feed(&mut self, _input: &RecordedInput) -> Result<Vec<HeardSay>, Error> {
+            Ok(self.0.to_vec())
+        }
+    }
+
+    #[test]
+    fn an_event_that_the_recording_lacks_is_not_one_that_was_compared() {
+        let said = [event(3, "end"), event(3, "start")];
+        let mut target = Talkative(said.clone());
+        let mut counts = |inputs: &[RecordedInput]| {
+            let stretch = Stretch { is_beginning: true, inputs: inputs.to_vec() };
+            let outcome = replay(&stretch, &mut target, |_| true).unwrap();
+            (outcome.n_events, outcome.n_lost, outcome.difference.is_some())
+        };
+        let (all, nothing) = (input(&said, Some(2)), input(&[], Some(2)));
+        assert_eq!(counts(std::slice::from_ref(&all)), (2, 0, false));
+        assert_eq!(counts(std::slice::from_ref(&nothing)), (0, 2, false));
+        assert_eq!(counts(&[all, input(&said[1..], Some(2)), nothing]), (3, 3, false));
+        assert_eq!(counts(&[input(&said[1..], Some(1))]), (2, 0, true));
     }
 
     fn observed(episode: u64, step: u32) -> RecordedInput {

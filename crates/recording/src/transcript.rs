@@ -1,6 +1,7 @@
 //! A session as text: what was said when, and what the notifier did.
 
 use std::fmt::Write as _;
+use std::ops::Range;
 
 use crate::course::{RecordedUtterance, SessionCourse};
 use crate::sessions::RecordedSession;
@@ -8,12 +9,12 @@ use crate::sessions::RecordedSession;
 /// Why nothing can go wrong where text is written into text.
 const WRITTEN: &str = "a string takes what is written";
 
-/// Writes what was said when, a line each, with the notifier's states in between.
+/// Writes what was said when, a line each, with the notifier's states in between: all of it, or these seconds, half open.
 ///
 /// # Panics
 ///
 /// Never: a string takes what is written.
-pub fn transcript(session: &RecordedSession) -> String {
+pub fn transcript(session: &RecordedSession, asked: Option<&Range<u64>>) -> String {
     let mut text = format!("{}, session {}\n", session.client, session.id);
     if let Some(note) = &session.note {
         let say = |key: &str| note.answer[key].to_string();
@@ -37,7 +38,10 @@ pub fn transcript(session: &RecordedSession) -> String {
         lines.push((state.start, format!("{:>15}{}: {}", "", state.state, state.why)));
     }
     lines.sort_by(|(one, _), (other, _)| one.total_cmp(other));
-    for (time, line) in lines {
+    let is_shown = |time: f64| {
+        asked.is_none_or(|asked| (asked.start as f64..asked.end as f64).contains(&time))
+    };
+    for (time, line) in lines.into_iter().filter(|(time, _)| is_shown(*time)) {
         writeln!(text, "{time:8.2}s  {line}").expect(WRITTEN);
     }
     text

@@ -14,6 +14,8 @@ use crate::topic::RecordedTopic;
 
 /// The size from which on a chunk is closed, in bytes.
 const CHUNK: u64 = 256 << 10;
+/// The most channels of a file: their numbers have 16 bits. What comes on further keys is passed over, and counted.
+const MAX_CHANNELS: usize = 60_000;
 /// The name of the metadata that says what wrote the file.
 pub(crate) const METADATA: &str = "leadtime.recording";
 /// The version of what is recorded.
@@ -30,6 +32,7 @@ pub struct RecordingWriter<W: Write> {
     file: mcap::Writer<NoSeek<W>>,
     channels: BTreeMap<String, OpenChannel>,
     n_messages: u64,
+    n_passed_over: u64,
 }
 
 impl<W: Write> std::fmt::Debug for RecordingWriter<W> {
@@ -57,12 +60,14 @@ impl<W: Write> RecordingWriter<W> {
         let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
         let metadata = Metadata { name: METADATA.to_owned(), metadata };
         file.write_metadata(&metadata).map_err(Error::writing)?;
-        let mut writer = Self { file, channels: BTreeMap::new(), n_messages: 0 };
+        let (channels, n_messages, n_passed_over) = (BTreeMap::new(), 0, 0);
+        let mut writer = Self { file, channels, n_messages, n_passed_over };
         writer.flush()?;
         Ok(writer)
     }
 
-    /// Adds a message; `at` is when it arrived, in nanoseconds since 1970.
+    /// Adds a message; `at` is when it arrived, in nanoseconds since 1970. One of a further key is passed over once there are
+    /// 60,000 of them.
     ///
     /// # Errors
     ///
@@ -76,6 +81,9 @@ impl<W: Write> RecordingWriter<W> {
     ) -> Result<(), Error> {
         let channel = if let Some(channel) = self.channels.get_mut(key) {
             channel
+        } else if self.channels.len() >= MAX_CHANNELS {
+            self.n_passed_over += 1;
+            return Ok(());
         } else {
             let (name, schema) = topic.schema();
             let schema = self.file.add_schema(name, "jsonschema", schema.as_bytes());
@@ -96,6 +104,11 @@ impl<W: Write> RecordingWriter<W> {
     /// Returns how many messages there are.
     pub fn n_messages(&self) -> u64 {
         self.n_messages
+    }
+
+    /// Returns how many messages were passed over.
+    pub fn n_passed_over(&self) -> u64 {
+        self.n_passed_over
     }
 
     /// Closes the chunk and hands it to the disk: it can be read from now on, whatever happens.
@@ -188,6 +201,20 @@ mod tests {
                 assert!(is_right && read.len() % 5 == 0, "byte {i}: {read:?}");
             }
         }
+    }
+
+    #[test]
+    fn more_keys_than_a_file_has_channels_end_no_recording() {
+        let mut writer = RecordingWriter::new(std::io::sink(), "a test").unwrap();
+        for i in 0..=u32::from(u16::MAX) {
+            let key = format!("leadtime/1/r/metrics/actor/a{i}");
+            writer.write(&key, RecordedTopic::Metrics, 0, b"{}").unwrap();
+        }
+        let n = MAX_CHANNELS as u64;
+        assert_eq!((writer.n_messages(), writer.n_passed_over()), (n, 65_536 - n));
+        writer.write(KEY, RecordedTopic::Live(LiveTopic::Status), 0, b"{}").unwrap();
+        writer.write("leadtime/1/r/metrics/actor/a0", RecordedTopic::Metrics, 0, b"{}").unwrap();
+        assert_eq!((writer.n_messages(), writer.n_passed_over()), (n + 1, 65_537 - n));
     }
 
     /// A disk with room for so many bytes.

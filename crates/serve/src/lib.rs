@@ -37,6 +37,7 @@ pub mod phrases;
 pub mod robot;
 pub mod say;
 mod service;
+mod state_keeper;
 pub mod status;
 pub mod taken;
 mod travel;
@@ -52,7 +53,8 @@ pub use open::{
 };
 pub use robot::{ObservationSource, RobotForm, RobotSession, RobotWriter};
 pub use say::{HeardSay, SayEvent, SayTo};
-pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings, StateStore};
+pub use service::{LiveService, MAX_SESSIONS, ServiceError, ServiceSettings};
+pub use state_keeper::StateStore;
 pub use status::{LiveCounts, LiveState, Silence};
 pub use taken::{TakenInput, TakenLine};
 pub use working_policy::{LiveDecider, PolicyOrigin, UnfitPolicy, WorkingPolicy, told_voice};

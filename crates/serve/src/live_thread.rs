@@ -46,6 +46,8 @@ pub(crate) enum ThreadReport {
     State {
         client: ClientName,
         id: String,
+        /// The notifier's time of the snapshot, in nanoseconds.
+        now: u64,
         state: LiveState,
         /// How many messages were refused, and why the last one was.
         refusals: (u64, String),
@@ -264,15 +266,16 @@ impl Loop {
         });
         if now >= self.snapshots_due {
             self.snapshots_due = now + SNAPSHOT_EVERY;
-            self.hosted.iter().for_each(|hosted| self.report_state(hosted));
+            self.hosted.iter().for_each(|hosted| self.report_state(now, hosted));
         }
     }
 
-    fn report_state(&self, hosted: &Hosted) {
+    fn report_state(&self, now: u64, hosted: &Hosted) {
         let (n_refused, reason) = hosted.session.refusals();
         let report = ThreadReport::State {
             client: hosted.client.clone(),
             id: hosted.session.id().to_owned(),
+            now,
             state: hosted.session.state(),
             refusals: (n_refused, reason.to_owned()),
             snapshot: Box::new(hosted.session.snapshot()),

@@ -73,6 +73,8 @@ pub enum BadObservation {
     Sequence(u64),
     #[error("`seq` leaps to {0}, far beyond the one before: it counts observations")]
     Leap(u64),
+    #[error("the number of the source leaps to {0}, far beyond the one before: it counts messages")]
+    SourceLeap(i64),
     #[error("`t` is {}; allowed: 0 to 1e9 seconds", brief(*.0))]
     Time(f64),
     #[error(

@@ -206,7 +206,8 @@ impl SessionPlan {
         require("seconds_per_step", seconds_per_step, 1e-3, MAX_STEP)?;
         let stale_after = asked.stale_after.unwrap_or(patience.0.max(2.0 * seconds_per_step));
         require("stale_after", stale_after, 1e-3, MAX_PATIENCE)?;
-        let lost_after = asked.lost_after.unwrap_or(patience.1.max(2.0 * stale_after));
+        let lost_after =
+            asked.lost_after.unwrap_or(patience.1.max(2.0 * stale_after).min(MAX_PATIENCE));
         require("lost_after", lost_after, stale_after, MAX_PATIENCE)?;
         let wrong = |key, given: &str, allowed: &str| OpenRefusal::Setting {
             key,
@@ -437,6 +438,21 @@ mod tests {
             told.ends_with("`clock` has to be timer, observation or word; it is \"tmer\""),
             "{told}"
         );
+    }
+
+    #[test]
+    fn who_names_one_patience_is_not_refused_for_another_one() {
+        let policy = policy("lander");
+        let read = |key: &str, seconds: f64| {
+            let question = json!({"protocol": 1, "domain": "lander", key: seconds});
+            SessionPlan::read(question.to_string().as_bytes(), &policy, 1)
+        };
+        for (stale_after, lost_after) in [(0.1, 1.0), (2.0, 4.0), (400.0, 600.0), (600.0, 600.0)] {
+            let plan = read("stale_after", stale_after).unwrap();
+            assert_eq!((plan.stale_after, plan.lost_after), (stale_after, lost_after));
+        }
+        let told = read("stale_after", 601.0).unwrap_err().to_string();
+        assert!(told.starts_with("`stale_after` is 601"), "{told}");
     }
 
     #[test]

@@ -1,7 +1,6 @@
 //! Who gets a session, on which thread; what becomes of it when its client, or this process, ends.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,6 +19,7 @@ use crate::live_session::{LiveSession, LiveSnapshot};
 use crate::live_thread::{Hosted, LiveThread, SESSIONS_PER_THREAD, ThreadOrder, ThreadReport};
 use crate::open::{OpenRefusal, SayForm, SessionAnswer, SessionNote, SessionPlan};
 use crate::robot::{ObservationSource, RobotSession, RobotWriter};
+use crate::state_keeper::{StateKeeper, StateStore};
 use crate::status::{LiveState, Silence};
 use crate::taken::TakenLog;
 use crate::working_policy::{LiveDecider, PolicyOrigin, WorkingPolicy};
@@ -33,26 +33,6 @@ const REFUSALS_PAUSE: u64 = 60_000_000_000;
 
 /// What a session does whose client says nothing.
 const QUIET: [LiveState; 3] = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
-
-/// Where the state of sessions is kept, so that a restarted notifier goes on with them.
-pub trait StateStore: Send + Sync + fmt::Debug {
-    /// Keeps the state of a client's session, instead of what was kept of it.
-    ///
-    /// # Errors
-    ///
-    /// What the system reports if the state cannot be written.
-    fn keep(&self, client: &ClientName, state: &[u8]) -> std::io::Result<()>;
-
-    /// Returns what was kept.
-    fn find(&self, client: &ClientName) -> Option<Vec<u8>>;
-
-    /// Forgets what was kept, if anything was: the session has ended for good.
-    ///
-    /// # Errors
-    ///
-    /// What the system reports if the state cannot be removed.
-    fn forget(&self, client: &ClientName) -> std::io::Result<()>;
-}
 
 /// How a notifier works.
 #[derive(Clone, Debug)]
@@ -184,7 +164,10 @@ pub struct LiveService {
     open: BTreeMap<ClientName, Registered>,
     present: BTreeMap<ClientName, BTreeSet<Incarnation>>,
     reports: flume::Receiver<ThreadReport>,
-    is_store_told: bool,
+    /// What keeps the states of sessions, if they are kept.
+    keeper: Option<StateKeeper>,
+    /// The checksum over the words.
+    words: u32,
 }
 
 impl LiveService {
@@ -202,6 +185,7 @@ impl LiveService {
     ) -> Result<Self, ServiceError> {
         let (sender, reports) = flume::bounded(MAX_REPORTS);
         let (decider, clock) = (policy.decider(), LiveClock::start());
+        let words = policy.words_checksum();
         let n_threads = settings.max_sessions.div_ceil(SESSIONS_PER_THREAD).max(1);
         let start = |i| {
             let (decider, sender) = (decider.clone(), sender.clone());
@@ -209,6 +193,7 @@ impl LiveService {
             LiveThread::start(format!("live-{i}"), decider, clock, spins, loudspeaker, sender)
         };
         let threads = (0..n_threads).map(start).collect::<Result<_, _>>();
+        let keeper = settings.store.clone().map(StateKeeper::start).transpose();
         let epoch = settings.unix.saturating_sub(signed(clock.now()));
         Ok(Self {
             epoch,
@@ -224,7 +209,8 @@ impl LiveService {
             open: BTreeMap::new(),
             present: BTreeMap::new(),
             reports,
-            is_store_told: false,
+            keeper: keeper.map_err(ServiceError::Thread)?,
+            words,
         })
     }
 
@@ -252,7 +238,10 @@ impl LiveService {
             }
         }
         self.threads.into_iter().for_each(LiveThread::stop);
-        self.link.close().await
+        let closed = self.link.close().await;
+        // A disk that hangs keeps no client waiting for the end.
+        drop(self.keeper);
+        closed
     }
 
     fn take(&mut self, event: LiveEvent) {
@@ -312,7 +301,7 @@ impl LiveService {
             question: serde_json::from_slice(&registered.question).ok()?,
             answer: serde_json::from_slice(&registered.whole).ok()?,
             policy: self.policy.origin.clone(),
-            words_checksum: self.policy.words_checksum(),
+            words_checksum: self.words,
         };
         serde_json::to_vec(&note).ok()
     }
@@ -450,7 +439,7 @@ impl LiveService {
         plan: SessionPlan,
     ) -> (LiveSession, Vec<String>) {
         let mut notes = plan.notes.clone();
-        let kept = self.settings.store.as_ref().and_then(|store| store.find(client));
+        let kept = self.keeper.as_ref().and_then(|keeper| keeper.find(client));
         let kept: Option<KeptSession> = kept.and_then(|bytes| {
             let read = read_kept(&bytes);
             read.inspect_err(|error| {
@@ -461,7 +450,7 @@ impl LiveService {
         let is_same = |kept: &KeptSession| {
             let is_known = plan.incarnation.is_some() || plan.source != ObservationSource::Client;
             let is_policy = kept.origin == self.policy.origin
-                && kept.words == self.policy.words_checksum()
+                && self.policy.has_words(kept.words)
                 && kept.voice == self.voice_name();
             is_policy && kept.place.as_deref() == place && kept.question == question && is_known
         };
@@ -488,9 +477,8 @@ impl LiveService {
 
     /// Forgets the state of a session that was closed: with what closed it, it would be closed again.
     fn forget(&self, client: &ClientName) {
-        let Some(store) = &self.settings.store else { return };
-        if let Err(error) = store.forget(client) {
-            warn!(%client, %error, "the state of a closed session cannot be removed; the client may get that session again");
+        if let Some(keeper) = &self.keeper {
+            keeper.forget(client);
         }
     }
 
@@ -532,8 +520,7 @@ impl LiveService {
                     }
                 }
             }
-            ThreadReport::State { client, id, state, refusals, snapshot } => {
-                let now = self.clock.now();
+            ThreadReport::State { client, id, now, state, refusals, snapshot } => {
                 let (at, voice) = (self.unix(now), self.voice_name());
                 let Some(registered) = self.open.get_mut(&client) else { return };
                 if registered.id != id {
@@ -545,22 +532,18 @@ impl LiveService {
                     let n = counted(n, "message");
                     warn!(%client, session = id, "{n} refused; of the last one: {reason}");
                 }
-                let Some(store) = &self.settings.store else { return };
+                let Some(keeper) = &self.keeper else { return };
                 let kept = KeptSession {
                     id,
                     origin: self.policy.origin.clone(),
-                    words: self.policy.words_checksum(),
+                    words: self.words,
                     voice,
                     place: registered.place.clone(),
                     at,
                     question: registered.question.clone(),
                     snapshot: *snapshot,
                 };
-                if let Err(error) = store.keep(&client, &write_kept(&kept))
-                    && !std::mem::replace(&mut self.is_store_told, true)
-                {
-                    warn!(%error, "the state of sessions cannot be kept; they will not survive this process");
-                }
+                keeper.keep(&client, write_kept(&kept));
             }
         }
     }
@@ -568,7 +551,98 @@ impl LiveService {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_episodes::Choice;
+    use leadtime_link::live::LiveClientLink;
+    use leadtime_link::{ConnectSettings, ListenSettings};
+    use leadtime_policy::Parameters;
+    use leadtime_proto::{PolicySpec, ServiceName, TaskSpec};
+
     use super::*;
+    use crate::client::{ClientSettings, LiveClient};
+    use crate::open::StepClock;
+
+    /// A disk that hangs once something is to be written, until its test lets it go.
+    #[derive(Debug)]
+    struct HangingStore {
+        hangs: flume::Sender<()>,
+        go: flume::Receiver<()>,
+    }
+
+    impl StateStore for HangingStore {
+        fn keep(&self, _client: &ClientName, _state: &[u8]) -> std::io::Result<()> {
+            if self.hangs.try_send(()).is_ok() {
+                while self.go.recv().is_ok() {}
+            }
+            Ok(())
+        }
+
+        fn find(&self, _client: &ClientName) -> Option<Vec<u8>> {
+            None
+        }
+
+        fn forget(&self, _client: &ClientName) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    fn policy() -> WorkingPolicy {
+        let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
+        let env = leadtime_worlds::builtin().build(&task).unwrap();
+        let spec = PolicySpec::dense(env.spec(), &[8]);
+        let parameters = Parameters::initialize(&spec, 1).unwrap();
+        WorkingPolicy::new("lander", env.as_ref(), &spec, &parameters, Choice::Greedy, None)
+            .unwrap()
+    }
+
+    fn asked(client: &str) -> ClientSettings {
+        ClientSettings {
+            service: ServiceName::new("n").unwrap(),
+            client: ClientName::new(client).unwrap(),
+            incarnation: Incarnation(3),
+            domain: "lander".to_owned(),
+            obs_dim: None,
+            clock: StepClock::Observation,
+            seconds_per_step: 0.3,
+            seed: 1,
+            form: SayForm::Json,
+        }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_disk_that_hangs_keeps_no_client_waiting() {
+        let (hangs, hanging) = flume::bounded(1);
+        let (let_go, go) = flume::bounded::<()>(1);
+        let store: Arc<dyn StateStore> = Arc::new(HangingStore { hangs, go });
+        let own = Incarnation(7);
+        let settings = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
+        let service = ServiceName::new("n").unwrap();
+        let (link, events) = LiveServiceLink::open(&settings, &service, own).await.unwrap();
+        let endpoint = link.locators()[0].parse().unwrap();
+        let settings = ServiceSettings {
+            max_sessions: 2,
+            seed: 1,
+            spins: false,
+            store: Some(store),
+            loudspeaker: None,
+            unix: 0,
+        };
+        let notifier = LiveService::new(policy(), settings, link, events, own).unwrap();
+        let (stop, stopped) = flume::bounded::<()>(1);
+        let runtime = tokio::runtime::Handle::current();
+        let work = tokio::task::spawn_blocking(move || {
+            runtime
+                .block_on(notifier.run(async move { while stopped.recv_async().await.is_ok() {} }))
+        });
+        let clients = LiveClientLink::open(&ConnectSettings::new(vec![endpoint])).await.unwrap();
+        let first = LiveClient::open(&clients, asked("first")).await.unwrap();
+        hanging.recv_async().await.unwrap();
+        let second = LiveClient::open(&clients, asked("second")).await.unwrap();
+        assert_ne!(first.answer()["session"], second.answer()["session"]);
+        drop((first, second));
+        clients.close().await.unwrap();
+        drop((let_go, stop));
+        work.await.unwrap().unwrap();
+    }
 
     #[test]
     fn refused_observations_are_told_at_once_and_then_once_a_minute() {

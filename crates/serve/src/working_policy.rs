@@ -146,8 +146,34 @@ impl WorkingPolicy {
         Self { origin: PolicyOrigin { voice, ..origin }, ..self }
     }
 
-    /// Returns a checksum over every sentence in order: two databases with the same one say the same.
+    /// Returns a checksum over every sentence in order, with its topic, its cell and what it presupposes: two databases with the
+    /// same one say the same.
     pub fn words_checksum(&self) -> u32 {
+        let Some(taxonomy) = &self.taxonomy else { return 0 };
+        let mut sum = 0;
+        let mut add = |text: &str| {
+            // What separates two texts is in neither.
+            sum = crc32c::crc32c_append(crc32c::crc32c_append(sum, text.as_bytes()), &[0]);
+        };
+        for topic in taxonomy.topics() {
+            add(topic.name());
+            let cells =
+                topic.cells().flat_map(|(cell, list)| list.iter().map(move |it| (cell, it)));
+            for (cell, sentence) in cells {
+                add(&cell.to_string());
+                add(&sentence.text);
+                taxonomy.fact_names(sentence.facts).for_each(&mut add);
+            }
+        }
+        sum
+    }
+
+    /// Returns whether the words are those of a checksum that was kept: by an older release over the texts alone.
+    pub fn has_words(&self, checksum: u32) -> bool {
+        checksum == self.words_checksum() || checksum == self.texts_checksum()
+    }
+
+    fn texts_checksum(&self) -> u32 {
         let topics = self.taxonomy.iter().flat_map(|taxonomy| taxonomy.topics());
         let sentences = topics.flat_map(|topic| topic.cells().flat_map(|(_, list)| list));
         sentences.fold(0, |sum, sentence| crc32c::crc32c_append(sum, sentence.text.as_bytes()))
@@ -255,5 +281,35 @@ impl LiveDecider {
             Choice::Sample => self.distribution.sample(&self.logits, mask, draws, choices),
             Choice::Greedy => self.distribution.greedy(&self.logits, mask, choices),
         };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::TaskSpec;
+    use leadtime_taxonomy::shipped;
+
+    use super::*;
+
+    fn policy(words: &str) -> WorkingPolicy {
+        let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
+        let env = leadtime_worlds::builtin().build(&task).unwrap();
+        let spec = PolicySpec::dense(env.spec(), &[8]);
+        let parameters = Parameters::initialize(&spec, 1).unwrap();
+        let words = Some(Taxonomy::from_toml(words).unwrap());
+        WorkingPolicy::new("lander", env.as_ref(), &spec, &parameters, Choice::Greedy, words)
+            .unwrap()
+    }
+
+    #[test]
+    fn words_that_presuppose_something_else_are_other_words() {
+        let text = shipped::text("lander").unwrap();
+        let own = policy(text);
+        let other = policy(&text.replacen("facts = [\"zone_near\"]", "facts = []", 1));
+        assert_eq!(other.texts_checksum(), own.texts_checksum());
+        assert_ne!(other.words_checksum(), own.words_checksum());
+        assert!(!other.has_words(own.words_checksum()));
+        assert!(own.has_words(own.words_checksum()));
+        assert!(own.has_words(own.texts_checksum()), "a recording of an older release");
     }
 }

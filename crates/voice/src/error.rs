@@ -15,6 +15,8 @@ pub enum VoiceError {
         "`{0}` is no voice; known: none, text, shipped, flite[:VOICE], espeak, pipe:COMMAND, recorded:DIR"
     )]
     Unknown(String),
+    #[error("--voice {0} speaks nothing anew: use flite[:VOICE], espeak or pipe:COMMAND")]
+    NoSpeaker(String),
     #[error("flite has no voice `{name}`; it has: {known}")]
     FliteVoice { name: String, known: String },
     #[error(

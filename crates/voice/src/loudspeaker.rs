@@ -6,7 +6,8 @@
 //!
 //! Silence is written too, so the loudspeaker is ready, and one that is gone is noticed while nothing is said. Its clock
 //! is not ours: in silence a block is left out whenever one still waits in the pipe. A loudspeaker that ends, or that takes nothing
-//! for half a second, is *mute*; it is tried again every five seconds.
+//! for half a second while it is to sound, or for five seconds in silence, is *mute*; it is tried again every five seconds, and is
+//! back once it takes something.
 
 use std::io::{self, Write as _};
 use std::process::{ChildStdin, Command, Stdio};
@@ -34,6 +35,8 @@ const MAX_ORDERS: usize = 64;
 const MAX_WAITING: u64 = 500;
 /// The most bytes that may wait in its pipe: well below what a pipe holds (64 KiB), or writing would wait for a player that hangs.
 const MAX_WAITING_BYTES: u64 = 32 << 10;
+/// For how many blocks in a row a loudspeaker may take nothing in silence: five seconds, because it may open its device first.
+const MAX_UNTAKEN: u32 = 5_000 / BLOCK;
 /// When a loudspeaker that was gone is tried again, and from when on it counts as back.
 const TRY_AGAIN: Duration = Duration::from_secs(5);
 const IS_BACK: Duration = Duration::from_secs(1);
@@ -68,19 +71,9 @@ impl Loudspeaker {
     /// [`VoiceError::Missing`] if there is no such command, [`VoiceError::Start`] if nothing can be started at all.
     pub fn start(command: Option<&str>, rate: u32) -> Result<Self, VoiceError> {
         let program = SoundCommand { command: command.map(str::to_owned), rate };
-        let player = program.start()?;
-        let is_mute = Arc::new(AtomicBool::new(false));
+        let playing = Playing::new(program.start()?, program);
+        let is_mute = Arc::clone(&playing.is_mute);
         let (orders, waiting) = sync_channel(MAX_ORDERS);
-        let now = Instant::now();
-        let playing = Playing {
-            name: program.name(),
-            program,
-            playback: Playback::new(rate),
-            player: Some(player),
-            started: now,
-            due: now,
-            is_mute: Arc::clone(&is_mute),
-        };
         let failed = |source| VoiceError::Start { what: "a thread for sound".to_owned(), source };
         let thread = thread::Builder::new().name("loudspeaker".to_owned());
         let handle = thread.spawn(move || playing.run(&waiting)).map_err(failed)?;
@@ -132,6 +125,12 @@ struct SoundCommand {
 struct SoundPlayer {
     child: Box<dyn ChildWrapper>,
     input: ChildStdin,
+    /// How many bytes would wait if it had taken nothing since the last look.
+    left: u64,
+    /// It has taken something.
+    has_taken: bool,
+    /// For how many blocks in a row it has taken nothing.
+    n_untaken: u32,
 }
 
 impl SoundCommand {
@@ -171,7 +170,7 @@ impl SoundCommand {
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null());
         let mut child = child::spawn(command)?;
         let input = child.stdin().take().ok_or(io::ErrorKind::BrokenPipe)?;
-        Ok(SoundPlayer { child, input })
+        Ok(SoundPlayer { child, input, left: 0, has_taken: false, n_untaken: 0 })
     }
 
     /// Starts it, and waits a moment whether it is there at all.
@@ -188,9 +187,21 @@ impl SoundCommand {
 }
 
 impl SoundPlayer {
-    /// Returns how many bytes it has not taken yet.
-    fn waiting(&self) -> u64 {
-        rustix::io::ioctl_fionread(&self.input).unwrap_or(0)
+    /// Returns how many bytes it has not taken yet, and notes whether it has taken something.
+    fn look(&mut self) -> u64 {
+        let waiting = rustix::io::ioctl_fionread(&self.input).unwrap_or(0);
+        if waiting < self.left {
+            (self.has_taken, self.n_untaken) = (true, 0);
+        } else if waiting > 0 {
+            self.n_untaken = self.n_untaken.saturating_add(1);
+        }
+        self.left = waiting;
+        waiting
+    }
+
+    fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.left += bytes.len() as u64;
+        self.input.write_all(bytes)
     }
 }
 
@@ -214,6 +225,19 @@ struct Playing {
 }
 
 impl Playing {
+    fn new(player: SoundPlayer, program: SoundCommand) -> Self {
+        let now = Instant::now();
+        Self {
+            name: program.name(),
+            playback: Playback::new(program.rate),
+            program,
+            player: Some(player),
+            started: now,
+            due: now,
+            is_mute: Arc::new(AtomicBool::new(false)),
+        }
+    }
+
     fn run(mut self, orders: &Receiver<SoundOrder>) {
         // The loudspeaker's buffer is filled once, and stays filled.
         for _ in 0..LEAD / BLOCK {
@@ -248,13 +272,14 @@ impl Playing {
         self.playback.fill(&mut block);
         let Some(player) = &mut self.player else { return self.try_again() };
         let bytes: Vec<u8> = block.iter().flat_map(|sample| sample.to_le_bytes()).collect();
-        let (waiting, n) = (player.waiting(), bytes.len() as u64);
-        if was_silent && waiting >= n {
-            return self.look_whether_it_is_back();
-        }
-        let why = if waiting > (n * MAX_WAITING / u64::from(BLOCK)).min(MAX_WAITING_BYTES) {
+        let (waiting, n) = (player.look(), bytes.len() as u64);
+        let is_left_out = was_silent && waiting >= n;
+        let is_full = waiting > (n * MAX_WAITING / u64::from(BLOCK)).min(MAX_WAITING_BYTES);
+        let why = if player.n_untaken > MAX_UNTAKEN || is_full && !is_left_out {
             "it takes nothing any more".to_owned()
-        } else if let Err(error) = player.input.write_all(&bytes) {
+        } else if is_left_out {
+            return self.look_whether_it_is_back();
+        } else if let Err(error) = player.write(&bytes) {
             error.to_string()
         } else {
             return self.look_whether_it_is_back();
@@ -273,8 +298,10 @@ impl Playing {
         }
     }
 
+    /// One that was started and takes nothing is not back: nothing would be heard.
     fn look_whether_it_is_back(&mut self) {
-        if self.is_mute.load(Ordering::Relaxed) && self.started.elapsed() >= IS_BACK {
+        let has_taken = self.player.as_ref().is_some_and(|player| player.has_taken);
+        if has_taken && self.is_mute.load(Ordering::Relaxed) && self.started.elapsed() >= IS_BACK {
             self.is_mute.store(false, Ordering::Relaxed);
             info!("the loudspeaker `{}` is back", self.name);
         }

@@ -62,6 +62,31 @@ fn a_loudspeaker_that_ends_is_mute_and_one_that_takes_nothing_too() {
     }
 }
 
+/// A program that was gone for some time and has been started again.
+fn started_again(command: &str) -> Playing {
+    let program = SoundCommand { command: Some(command.to_owned()), rate: 8_000 };
+    let mut playing = Playing::new(program.start().unwrap(), program);
+    playing.is_mute.store(true, Ordering::Relaxed);
+    playing.started = Instant::now().checked_sub(2 * IS_BACK).unwrap();
+    playing
+}
+
+#[test]
+fn a_loudspeaker_that_is_started_again_is_back_once_it_takes_something() {
+    let mut hanging = started_again("sleep 60");
+    for _ in 0..=MAX_UNTAKEN {
+        hanging.write_block();
+        assert!(hanging.player.is_some() && hanging.is_mute.load(Ordering::Relaxed));
+    }
+    hanging.write_block();
+    assert!(hanging.player.is_none(), "it is gone in silence, too");
+    let mut playing = started_again("cat > /dev/null");
+    wait_until("it is back", || {
+        playing.write_block();
+        !playing.is_mute.load(Ordering::Relaxed)
+    });
+}
+
 #[test]
 fn a_command_that_is_not_there_is_told_at_once() {
     let error = Loudspeaker::start(Some("no-such-player -q"), 8_000).unwrap_err().to_string();

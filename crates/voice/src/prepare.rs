@@ -50,7 +50,7 @@ pub fn prepare(
 ///
 /// # Errors
 ///
-/// [`VoiceError::Missing`] or [`VoiceError::FliteVoice`] if it is not there; [`VoiceError::Unknown`] for a voice that is no program.
+/// [`VoiceError::Missing`] or [`VoiceError::FliteVoice`] if it is not there; [`VoiceError::NoSpeaker`] for a voice that is no program.
 pub fn speak(
     choice: &VoiceChoice,
     texts: &[&str],
@@ -59,7 +59,7 @@ pub fn speak(
         VoiceChoice::Flite(voice) => Box::new(Flite::find(voice)?),
         VoiceChoice::Espeak => Box::new(Espeak::find()?),
         VoiceChoice::Pipe(command) => Box::new(Helper::new(command)),
-        _ => return Err(VoiceError::Unknown(choice.to_string())),
+        _ => return Err(VoiceError::NoSpeaker(choice.to_string())),
     };
     info!(voice = %choice, sentences = texts.len(), "sentences are being spoken");
     speaker.prepare(texts)?;

@@ -521,7 +521,7 @@ function showPhases() {
 /** @type {Record<string, string>} */
 const FATES = {
   trained: 'trained on', dropped_stale: 'too stale', refused: 'refused', superseded: 'superseded',
-  rolled_back: 'rolled back', on_their_way: 'on their way',
+  rolled_back: 'rolled back', on_their_way: 'on their way', unused_at_end: 'unused at the end',
 };
 
 function showBooks() {
@@ -629,6 +629,8 @@ let [flight, frame] = [null, null];
 /** Where the person has been, with what they did on the way. @type {{at: number[], colour: string}[]} */
 let trail = [];
 let paused = false;
+/** The newest episode that began while the picture was paused. */
+let waiting = /** @type {any} */ (null);
 let zones = true;
 /** @type {Record<string, string>} */
 const ACTIVITIES = { 'own plan': 'neutral', 'hearing, not yet understood': 'orange', 'reaction delay': 'purple', 'follows through': 'blue' };
@@ -637,6 +639,7 @@ const RATIOS = [0.25, 0.75];
 
 /** @param {any} told */
 function takeFlight(told) {
+  waiting = paused ? told : null;
   if (paused) return;
   flight = told;
   frame = null;
@@ -764,7 +767,7 @@ function takeAbout(told) {
   if (told.watcher === watcher) return;
   watcher = told.watcher;
   $('log-lines').replaceChildren();
-  [flight, frame, trail] = [null, null, []];
+  [flight, frame, trail, waiting] = [null, null, [], null];
   for (const id of ['flight-note', 'heard', 'unheard', 'doing']) $(id).textContent = '';
   drawStage();
 }
@@ -887,6 +890,10 @@ $('zones').addEventListener('click', () => {
 $('pause').addEventListener('click', () => {
   paused = !paused;
   $('pause').setAttribute('aria-pressed', String(paused));
+  if (paused) return;
+  // What happened meanwhile was not drawn.
+  trail = [];
+  if (waiting) takeFlight(waiting);
 });
 document.addEventListener('visibilitychange', () => document.hidden || redrawAll());
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redrawAll);

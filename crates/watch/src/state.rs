@@ -134,6 +134,8 @@ pub struct RunView {
     knows_history: bool,
     lost_at: Option<f64>,
     ended: Option<&'static str>,
+    /// The books of a finished run, as its record keeps them: those of the last update know nothing of the end.
+    settled: Option<Value>,
     n_needed: Option<u64>,
     total_updates: u64,
     checkpoint: u64,
@@ -409,6 +411,13 @@ impl RunView {
         self.learner.get_or_insert_with(|| "disk".to_owned());
     }
 
+    /// Takes in the books of a finished run's record.
+    pub fn settle(&mut self, books: Option<Value>) {
+        let books = books.filter(Value::is_object);
+        self.changes.update |= books != self.settled;
+        self.settled = books;
+    }
+
     /// Writes a line into the log.
     fn say(&mut self, level: &'static str, text: String, now: f64) {
         self.n_logged += 1;
@@ -604,7 +613,8 @@ impl RunView {
             "staleness": newest,
             "staleness_100": sum,
             "clip_by_staleness": self.last.get("clip_by_staleness").and_then(shares_of),
-            "refusals": self.last.get("refusals").cloned().unwrap_or_else(|| json!({})),
+            // A page goes through its entries, whatever a learner tells.
+            "refusals": self.last.get("refusals").and_then(Value::as_object).cloned().unwrap_or_default(),
             "phases": self.phases(),
             "books": self.books(),
         })
@@ -641,16 +651,22 @@ impl RunView {
 
     /// Writes where every rollout went, and whether that adds up.
     fn books(&self) -> Value {
-        let count = |name: &str| {
-            self.last.get(&format!("books/{name}")).and_then(Value::as_f64).unwrap_or(0.0) as i64
-        };
-        if self.last.is_empty() {
+        let settled = self.settled.as_ref().filter(|_| self.ended == Some("finished"));
+        if self.last.is_empty() && settled.is_none() {
             return Value::Null;
         }
-        let waiting = self.last.get("system/queued").and_then(Value::as_f64).unwrap_or(0.0) as i64;
+        let number = |told: Option<&Value>| told.and_then(Value::as_f64).unwrap_or(0.0) as i64;
+        let count = |name: &str| match settled {
+            Some(books) => number(books.get(name)),
+            None => number(self.last.get(&format!("books/{name}"))),
+        };
+        let (rest, waiting) = match settled {
+            Some(_) => ("unused_at_end", count("unused_at_end")),
+            None => ("on_their_way", number(self.last.get("system/queued"))),
+        };
         let names = ["trained", "dropped_stale", "refused", "superseded", "rolled_back"];
         let mut entries: Vec<Value> = names.iter().map(|name| json!([name, count(name)])).collect();
-        entries.push(json!(["on_their_way", waiting]));
+        entries.push(json!([rest, waiting]));
         let accounted = names.iter().map(|name| count(name)).fold(waiting, i64::saturating_add);
         json!({
             "published": count("published"),

@@ -84,6 +84,31 @@ fn phases_books_and_staleness_come_with_an_update() {
     broken.insert("books/trained".to_owned(), json!(1));
     view.update(broken, 1004.0);
     assert_eq!(view.update_json(1004.0)["books"]["balanced"], false);
+    for odd in [Value::Null, json!(3), json!([1])] {
+        let mut line = object(line(5));
+        line.insert("refusals".to_owned(), odd);
+        view.update(line, 1005.0);
+        assert_eq!(view.update_json(1005.0)["refusals"], json!({}), "what a page can read");
+    }
+}
+
+#[test]
+fn a_finished_run_has_the_books_of_its_record() {
+    let mut view = at_update(2);
+    let books = json!({
+        "published": 26, "trained": 16, "dropped_stale": 1, "refused": 2, "superseded": 0, "rolled_back": 4,
+        "unused_at_end": 3, "duplicates": 0, "steps_redone": 0, "balanced": true,
+    });
+    view.settle(Some(books));
+    assert_eq!(view.update_json(1002.0)["books"]["published"], 20, "it is still at work");
+    view.on_disk(Some("finished"), 1002.0);
+    let shown = view.update_json(1002.0)["books"].clone();
+    assert_eq!((&shown["published"], &shown["balanced"]), (&json!(26), &json!(true)));
+    assert_eq!(shown["entries"][4], json!(["rolled_back", 4]));
+    assert_eq!(shown["entries"][5], json!(["unused_at_end", 3]));
+    // The record of an old release has none.
+    view.settle(Some(Value::Null));
+    assert_eq!(view.update_json(1002.0)["books"]["published"], 20);
 }
 
 #[test]

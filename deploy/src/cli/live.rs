@@ -54,7 +54,7 @@ pub(crate) struct ServeArgs {
     #[arg(value_parser = clap::value_parser!(u32).range(1..=MAX_SESSIONS as i64))]
     pub max_sessions: Option<u32>,
     /// Print what an observation consists of and what can be said, and end.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "robot")]
     pub describe: bool,
     /// Print it as a JSON Schema of observations.
     #[arg(long, requires = "describe")]
@@ -122,10 +122,10 @@ pub(crate) struct NotifierArgs {
     #[command(flatten)]
     pub tls: TlsArgs,
     /// How long to look for the notifier.
-    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration, requires = "connect")]
     pub connect_timeout: Duration,
     /// Name of the notifier.
-    #[arg(long, value_name = "NAME", default_value = "notifier")]
+    #[arg(long, value_name = "NAME", default_value = "notifier", requires = "connect")]
     pub service: ServiceName,
 }
 
@@ -229,7 +229,7 @@ pub(crate) struct ReplayArgs {
     #[command(flatten)]
     pub notifier: NotifierArgs,
     /// Name of this client (default: that of its certificate, else `replay`).
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", requires = "connect")]
     pub client: Option<ClientName>,
     /// Replay this client alone (default: every client).
     #[arg(long, value_name = "CLIENT")]

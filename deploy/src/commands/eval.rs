@@ -142,6 +142,11 @@ impl EvalTask {
 /// Prints the same episodes of every player, word by word.
 fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Failure> {
     let config = &task.policy.config;
+    if tasks.topics(&config.evaluation.task).is_empty() {
+        let domain = config.domain.as_str();
+        let sentence = format!("no messages are sent in `{domain}`, so there is nothing to hear");
+        return Err(Failure::input(sentence));
+    }
     let voice = episode::voice(tasks, config, args.words.as_deref())?;
     for player in &task.players {
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {

@@ -1,17 +1,18 @@
 //! `leadtime play`: one episode as a picture or a page; the file's extension says which kind.
 
-use std::io::Write as _;
+use std::io::{ErrorKind, Write as _};
 use std::ops::Range;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{Context as _, Error, anyhow, bail, ensure};
 use leadtime_eval::draw::Rasterizer;
 use leadtime_eval::playthrough::Spoken;
 use leadtime_eval::report::player;
 use leadtime_proto::phrase::counted;
 use leadtime_recording::{picture, transcript};
 use leadtime_runs::Tasks;
+use leadtime_runs::evaluation::EVAL_SEED;
 
 use super::opponent::opponents;
 use super::{episode, evaluation, recorded};
@@ -82,14 +83,37 @@ fn write(spoken: &Spoken, frames: Option<Range<u64>>, path: &Path) -> Result<(),
     Ok(())
 }
 
+/// Refuses options that change what a policy does: a recording shows what was.
+fn refuse_options_of_policies(args: &PlayArgs) -> Result<(), Failure> {
+    let acting = &args.acting;
+    let options = [
+        ("--words", args.words.is_some()),
+        ("--baseline", args.baseline.is_some()),
+        ("--set", !acting.set.is_empty()),
+        ("--action", acting.choosing.action.is_some()),
+        ("--eval-seed", acting.choosing.eval_seed != EVAL_SEED),
+    ];
+    let given = options.into_iter().find(|(_, is_given)| *is_given);
+    given.map_or(Ok(()), |(option, _)| {
+        let sentence = format!(
+            "{option} changes nothing in a recording, which shows what was said: leave it out"
+        );
+        Err(Failure::input(sentence))
+    })
+}
+
 /// Draws the sessions of a recording, or writes what was said in them.
 fn draw_recording(recording: &Path, args: &PlayArgs) -> Result<(), Failure> {
+    refuse_options_of_policies(args)?;
     let sessions = recorded::read(recording, args.live.as_ref())?;
     let path = &args.output;
     let n = counted(sessions.len(), "session");
     let mut what = n.clone();
     let bytes = match extension(path).as_str() {
-        "txt" => sessions.iter().map(transcript).collect::<Vec<_>>().join("\n").into_bytes(),
+        "txt" => {
+            let texts = sessions.iter().map(|it| transcript(it, args.frames.as_ref()));
+            texts.collect::<Vec<_>>().join("\n").into_bytes()
+        }
         kind @ ("png" | "svg") => {
             let draw = |it| Some((it, picture(it, args.frames.clone())?));
             let nothing = "nothing happens in these seconds of the recording";
@@ -157,7 +181,10 @@ fn film(gif: &[u8], path: &Path) -> anyhow::Result<()> {
         .arg(path)
         .stdin(Stdio::piped())
         .spawn()
-        .context("an mp4 needs ffmpeg: install it, or draw a gif")?;
+        .map_err(|error| match error.kind() {
+            ErrorKind::NotFound => anyhow!("an mp4 needs ffmpeg: install it, or draw a gif"),
+            _ => Error::new(error).context("an mp4 needs ffmpeg, which cannot be started"),
+        })?;
     let given = ffmpeg.stdin.take().map_or(Ok(()), |mut input| input.write_all(gif));
     let ended = ffmpeg.wait()?;
     ensure!(ended.success(), "ffmpeg could not write {}: see above", path.display());

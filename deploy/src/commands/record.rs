@@ -26,6 +26,8 @@ use crate::output;
 pub(super) const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// The most sessions that are asked for at once.
 const MAX_ASKED: usize = 64;
+/// The shortest time between two looks at who has to be asked for: there may be many.
+const ASK_PAUSE: Duration = Duration::from_millis(20);
 
 pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
@@ -48,7 +50,9 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
         service: service.clone(),
         is_gone: false,
         asked: BTreeSet::new(),
+        asked_at: None,
         n_dropped: 0,
+        n_passed_over: 0,
     };
     let ended = recording.run(&shutdown).await;
     let (n_messages, n_sessions) = recording.recorder.counts();
@@ -148,7 +152,10 @@ struct RunningRecording {
     is_gone: bool,
     /// The clients whose session is being asked for.
     asked: BTreeSet<ClientName>,
+    /// When it was looked last who has to be asked for.
+    asked_at: Option<Instant>,
     n_dropped: u64,
+    n_passed_over: u64,
 }
 
 impl RunningRecording {
@@ -189,10 +196,17 @@ impl RunningRecording {
         }
     }
 
-    /// Asks for every session that is not known yet.
+    /// Asks for sessions that are not known yet.
     fn ask(&mut self, asker: &SessionAsker, sender: &flume::Sender<AskedSession>) {
-        for client in self.recorder.unknown() {
-            if self.asked.len() >= MAX_ASKED || !self.asked.insert(client.clone()) {
+        let now = Instant::now();
+        let is_due = self.asked_at.is_none_or(|at| now.saturating_duration_since(at) >= ASK_PAUSE);
+        let n = MAX_ASKED.saturating_sub(self.asked.len());
+        if !is_due || n == 0 {
+            return;
+        }
+        self.asked_at = Some(now);
+        for client in self.recorder.to_ask(arrived(now), n) {
+            if !self.asked.insert(client.clone()) {
                 continue;
             }
             let (asker, sender) = (asker.clone(), sender.clone());
@@ -226,6 +240,14 @@ impl RunningRecording {
             let n_new = counted(n - self.n_dropped, "message");
             tracing::warn!("{n_new} came faster than they can be written: not recorded");
             self.n_dropped = n;
+        }
+        let n = self.recorder.n_passed_over();
+        if n > self.n_passed_over {
+            let n_new = counted(n - self.n_passed_over, "message");
+            tracing::warn!(
+                "{n_new} came of clients that the notifier says nothing of, and there are too many of them: not recorded"
+            );
+            self.n_passed_over = n;
         }
     }
 }

@@ -62,7 +62,7 @@ async fn record(
 ) -> Result<(), RecordFailure> {
     let mut flushes = interval(FLUSH_EVERY);
     flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut n_missed, mut is_here) = (0, None);
+    let (mut n_missed, mut n_passed_over, mut is_here) = (0, 0, None);
     // One that was killed before it was seen here leaves without a word.
     let mut first_look = pin!(sleep(SEEN_WITHIN));
     loop {
@@ -104,6 +104,12 @@ async fn record(
                     let n_new = counted(missed - n_missed, "message");
                     tracing::warn!("{n_new} came faster than they can be written: not recorded");
                     n_missed = missed;
+                }
+                let passed_over = writer.n_passed_over();
+                if passed_over > n_passed_over {
+                    let n_new = counted(passed_over - n_passed_over, "message");
+                    tracing::warn!("{n_new} came of more members than a file has room for: not recorded");
+                    n_passed_over = passed_over;
                 }
             }
         }

@@ -16,7 +16,8 @@ use leadtime_recording::{
 };
 use leadtime_runs::{Tasks, clock};
 use leadtime_serve::{
-    HeardSay, PolicyOrigin, SayEvent, SessionNote, StepClock, WordClock, WorkingPolicy, told_voice,
+    HeardSay, PolicyOrigin, SayEvent, SayForm, SessionNote, StepClock, WordClock, WorkingPolicy,
+    told_voice,
 };
 use leadtime_table::Table;
 use leadtime_voice::VoiceChoice;
@@ -37,9 +38,12 @@ const MAX_ROWS: usize = 24;
 const MESSAGE_WIDTH: usize = 30;
 
 pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure> {
+    if args.connect.is_empty() && args.notifier.tls.tls.is_some() {
+        return Err(Failure::input("--tls: nobody is asked without --connect"));
+    }
     let shutdown = watch(Watch::Signals).blame(ExitCode::Failed)?;
     let sessions = recorded::read(&args.file, args.live.as_ref())?;
-    let pace = ReplayPace { speed: args.speed, stop: shutdown.clone() };
+    let pace = ReplayPace { speed: args.speed, is_told: !args.json, stop: shutdown.clone() };
     let played = if args.connect.is_empty() {
         let policies = Policies { tasks: tasks.clone(), args: args.clone(), known: Vec::new() };
         unless_cancelled(&shutdown, move || at_hand(&sessions, policies, &pace)).await?
@@ -87,17 +91,32 @@ impl OtherVoice {
         session: &RecordedSession,
         note: &SessionNote,
         given: Option<&VoiceChoice>,
+        policy: &WorkingPolicy,
     ) -> Option<Self> {
-        let (recorded, given) = (note.policy.voice.clone(), given?.to_string());
         let is_by_steps = note.question["word_clock"] == json!(WordClock::Steps);
         let is_timed = session.clock() != Some(StepClock::Observation) && !is_by_steps;
-        (is_timed && recorded != given).then_some(Self { recorded, given })
+        if !is_timed {
+            return None;
+        }
+        let recorded = note.policy.voice.clone();
+        let given = given.map_or_else(|| recorded.clone(), ToString::to_string);
+        if recorded != given {
+            return Some(Self { recorded, given });
+        }
+        // The same voice measures less where what it needs is not there.
+        let (then, now) = (note.answer["voice"]["estimated"].as_u64()?, policy.voice()?);
+        let now = now.n_estimated() as u64;
+        let told =
+            |n: u64| format!("{recorded}, the times of {} estimated", counted(n, "sentence"));
+        (then != now).then(|| Self { recorded: told(then), given: told(now) })
     }
 }
 
 /// How fast inputs follow each other.
 struct ReplayPace {
     speed: ReplaySpeed,
+    /// What was said is printed when it was said.
+    is_told: bool,
     stop: CancellationToken,
 }
 
@@ -114,7 +133,9 @@ impl ReplayPace {
             if self.speed == ReplaySpeed::AsRecorded {
                 let after = Duration::from_nanos(input.now.saturating_sub(first));
                 thread::sleep((began + after).saturating_duration_since(Instant::now()));
-                say(input, after);
+                if self.is_told {
+                    say(input, after);
+                }
             }
             !self.stop.is_cancelled()
         })
@@ -148,7 +169,7 @@ impl Policies {
             policy
         };
         let is_file = policy.sha256 == note.policy.sha256;
-        let is_same = is_file && policy.words_checksum() == note.words_checksum;
+        let is_same = is_file && policy.has_words(note.words_checksum);
         if self.args.policy.is_none() && !is_same {
             let (path, sha256) = (&note.policy.path, &note.policy.sha256);
             let what = if is_file { "its words are others" } else { "it is another policy" };
@@ -199,7 +220,7 @@ fn at_hand(
             let mut target = target.blame(ExitCode::WrongInput)?;
             outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
         }
-        let other_voice = OtherVoice::of(session, note, policies.args.voice.as_ref());
+        let other_voice = OtherVoice::of(session, note, policies.args.voice.as_ref(), &policy);
         Ok(PlayedSession { session: session.clone(), is_same, other_voice, outcome })
     };
     sessions.iter().map(play).collect()
@@ -225,15 +246,21 @@ fn over_network(
             n_opened += 1;
             let answer = runtime.block_on(target.open(note, n_opened)).map_err(failure)?;
             is_same &= answer["policy"]["sha256"] == note.policy.sha256.as_str();
-            // What a client is told of the settings and of the words.
-            is_same &=
-                ["task", "topics", "sentences"].iter().all(|it| answer[it] == note.answer[it]);
+            is_same &= is_answer_same(&answer, note);
             outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
         }
         let other_voice = None;
         Ok(PlayedSession { session: session.clone(), is_same, other_voice, outcome })
     };
     sessions.iter().map(play).collect()
+}
+
+/// Returns whether a client is told the same of the settings and of the words. One that reads few bytes is told no settings.
+fn is_answer_same(answer: &Value, note: &SessionNote) -> bool {
+    let is_brief = note.question["encoding"] == json!(SayForm::Binary);
+    let is_told = |it: &&str| !(is_brief && answer[*it].is_null());
+    let told = ["task", "topics", "sentences"].into_iter().filter(is_told);
+    told.fold(true, |is_same, it| is_same && answer[it] == note.answer[it])
 }
 
 /// A session of which it is not known what it was.
@@ -314,6 +341,10 @@ fn show_check(outcome: &ReplayOutcome) {
     let messages = counted(outcome.replayed.n_messages, "message");
     let events = counted(outcome.n_events, "event");
     let Some(difference) = &outcome.difference else {
+        if outcome.n_events == 0 {
+            output::line("  no event could be compared");
+            return;
+        }
         output::line(&format!("  the same is said, event by event: {messages}, {events}"));
         return;
     };

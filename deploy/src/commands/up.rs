@@ -115,7 +115,7 @@ struct BesidePage {
 
 impl BesidePage {
     async fn bind(tasks: &Tasks, http: &str, args: &UpArgs) -> Result<Self, Failure> {
-        let server = PageServer::bind(http, &args.access).await?;
+        let server = PageServer::bind("--watch", http, &args.access).await?;
         server.announce(args.json);
         let (stop, working) = (CancellationToken::new(), TaskTracker::new());
         let (tasks, server, page) = (tasks.clone(), Mutex::new(Some(server)), Mutex::default());

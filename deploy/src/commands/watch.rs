@@ -54,7 +54,7 @@ async fn start(
             print(&page, args.json);
             return Ok(());
         }
-        let server = PageServer::bind(&args.http, &args.access).await?;
+        let server = PageServer::bind("--http", &args.http, &args.access).await?;
         server.announce(args.json);
         let serving = server.serve(&page, shutdown);
         tokio::select! {
@@ -67,8 +67,11 @@ async fn start(
     let run = args.run.clone().map(RunName::new).transpose().context("--run");
     let run = run.blame(ExitCode::WrongInput)?;
     // The address first: it may be in use, and the run may be long to find.
-    let server =
-        if args.once { None } else { Some(PageServer::bind(&args.http, &args.access).await?) };
+    let server = if args.once {
+        None
+    } else {
+        Some(PageServer::bind("--http", &args.http, &args.access).await?)
+    };
     let attachment = tokio::select! {
         () = shutdown.cancelled() => return Ok(()),
         attached = Attachment::open(&settings, run) => attached.map_err(failure)?,

@@ -1,9 +1,10 @@
 //! The recorder's end: takes everything that is published about clients, and touches nothing.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 use leadtime_proto::{ClientName, ServiceName};
+use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
 use zenoh::session::Session;
 
@@ -16,6 +17,8 @@ use crate::{ConnectSettings, Error, Result, session};
 
 /// The most messages that wait to be recorded; newer ones beyond them are dropped and counted.
 const MAX_SAMPLES: usize = 65_536;
+/// The most bytes of them that wait: some seconds of every client that a notifier can have, whatever they send.
+const MAX_SAMPLE_BYTES: usize = 64 << 20;
 
 /// A message about a client, as it was published.
 #[derive(Debug)]
@@ -26,6 +29,29 @@ pub struct LiveSample {
     pub topic: LiveTopic,
     /// Its form, its bytes, and when it arrived here.
     pub arrival: Arrival,
+    _room: SampleRoom,
+}
+
+/// Room in the queue for a message, given back once the message is dropped.
+#[derive(Debug)]
+struct SampleRoom {
+    queued: Arc<AtomicUsize>,
+    n_bytes: usize,
+}
+
+impl SampleRoom {
+    /// Takes room for so many bytes; `None` if there is not enough.
+    fn take(queued: &Arc<AtomicUsize>, n_bytes: usize) -> Option<Self> {
+        let before = queued.fetch_add(n_bytes, Ordering::Relaxed);
+        let room = Self { queued: Arc::clone(queued), n_bytes };
+        (before.saturating_add(n_bytes) <= MAX_SAMPLE_BYTES).then_some(room)
+    }
+}
+
+impl Drop for SampleRoom {
+    fn drop(&mut self) {
+        self.queued.fetch_sub(self.n_bytes, Ordering::Relaxed);
+    }
 }
 
 /// A recorder's place on the network.
@@ -108,16 +134,23 @@ fn take_topics(
     sender: &flume::Sender<LiveSample>,
     n_dropped: &Arc<AtomicU64>,
 ) -> Result<Vec<Subscriber<()>>> {
+    let queued = Arc::new(AtomicUsize::new(0));
     let subscribed = LiveTopic::ALL.into_iter().map(|topic| {
         let (sender, n_dropped) = (sender.clone(), Arc::clone(n_dropped));
+        let queued = Arc::clone(&queued);
         let key = match client {
             Some(client) => topic.key(service, client),
             None => LiveKey::Any(service, topic),
         };
         subscribe(session, key, move |sample| {
             let Some((client, topic)) = parse_topic(sample.key_expr()) else { return };
-            let arrival = Arrival::new(&sample);
-            if sender.try_send(LiveSample { client, topic, arrival }).is_err() {
+            let n_beside = sample.attachment().map_or(0, ZBytes::len);
+            let room = SampleRoom::take(&queued, sample.payload().len() + n_beside);
+            let is_queued = room.is_some_and(|room| {
+                let arrival = Arrival::new(&sample);
+                sender.try_send(LiveSample { client, topic, arrival, _room: room }).is_ok()
+            });
+            if !is_queued {
                 n_dropped.fetch_add(1, Ordering::Relaxed);
             }
         })
@@ -148,6 +181,19 @@ mod tests {
     use super::*;
     use crate::live::LiveServiceLink;
     use crate::test_support::*;
+
+    #[test]
+    fn messages_that_wait_are_bounded_in_bytes() {
+        let queued = Arc::new(AtomicUsize::new(0));
+        let half = SampleRoom::take(&queued, MAX_SAMPLE_BYTES / 2).unwrap();
+        let rest = SampleRoom::take(&queued, MAX_SAMPLE_BYTES / 2).unwrap();
+        assert!(SampleRoom::take(&queued, 1).is_none());
+        assert_eq!(queued.load(Ordering::Relaxed), MAX_SAMPLE_BYTES, "a refusal takes no room");
+        drop(half);
+        assert!(SampleRoom::take(&queued, 1).is_some());
+        drop(rest);
+        assert_eq!(queued.load(Ordering::Relaxed), 0);
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_recorder_whose_connection_leads_nowhere_goes_on_with_another() {

@@ -16,7 +16,7 @@ use crate::observation::{BadObservation, LiveObservation, ObservationHead};
 use crate::robot::form::RobotForm;
 use crate::robot::ros2::SourceMark;
 
-/// By how much the number of a robot that counts itself may rise at once.
+/// By how much the number of a robot that counts itself, or of a source, may rise at once.
 const MAX_LEAP: i128 = 1 << 53;
 
 /// What a session knows of the observation before.
@@ -61,8 +61,8 @@ impl RobotReader {
     ///
     /// # Errors
     ///
-    /// [`BadObservation`] if the form cannot be read, if the attachment is not that of `rmw_zenoh`, or if a second
-    /// source sends while the first one is not silent.
+    /// [`BadObservation`] if the form cannot be read, if the attachment is not that of `rmw_zenoh`, if a second
+    /// source sends while the first one is not silent, or if the number leaps while its source is not silent.
     pub(crate) fn read(
         &mut self,
         into: &mut LiveObservation,
@@ -94,7 +94,15 @@ impl RobotReader {
             Some(source) if source.gid == gid => Some(source),
             _ => None,
         };
-        let known = source.and_then(|source| {
+        let leap = source.zip(mark).zip(last.seq).and_then(|((source, mark), before)| {
+            let ahead = number + source.raise - i128::from(before);
+            (ahead > MAX_LEAP).then_some(mark.number)
+        });
+        if let Some(leap) = leap.filter(|_| !is_quiet) {
+            return Err(BadObservation::SourceLeap(leap));
+        }
+        // One that goes on counting there after a silence begins anew.
+        let known = source.filter(|_| leap.is_none()).and_then(|source| {
             let raise = if mark.is_some() { source.raise } else { 0 };
             let seq = u64::try_from(number + raise).unwrap_or(0);
             let (moment, t) = source.moment;
@@ -248,6 +256,21 @@ mod tests {
         // Who counts there from now on is heard after a silence.
         assert_eq!(arrive(1_200, 1 << 60, 0.4), Ok((6, 0.35, true)));
         assert_eq!(arrive(1_250, (1 << 60) + 1, 0.45), Ok((7, 0.4, false)));
+    }
+
+    #[test]
+    fn a_number_of_a_source_that_leaps_is_refused_and_makes_nobody_deaf() {
+        let mut bench = Bench::new(RobotForm::Ros2);
+        assert_eq!(bench.ros(0, OLD, 5, 0), Ok((1, 0.0, true)));
+        let told = bench.ros(20, OLD, i64::MAX, 20).unwrap_err();
+        assert!(
+            told.starts_with("the number of the source leaps to 9223372036854775807"),
+            "{told}"
+        );
+        assert_eq!(bench.ros(40, OLD, 6, 40), Ok((2, 0.04, false)));
+        // Who counts there from now on is heard after a silence.
+        assert_eq!(bench.ros(1_200, OLD, i64::MAX - 1, 1_200), Ok((3, 0.04, true)));
+        assert_eq!(bench.ros(1_220, OLD, i64::MAX, 1_220), Ok((4, 0.06, false)));
     }
 
     #[test]

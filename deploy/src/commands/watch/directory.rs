@@ -70,11 +70,12 @@ impl RunSource {
 
     /// Shows what is there now.
     pub(super) fn show(&mut self, page: &Page) -> Result<(), Failure> {
-        let (history, ended) = (self.read_history()?, self.ended());
+        let (history, (ended, books)) = (self.read_history()?, self.ended());
         page.with(|view, now| {
             view.about(self.about.clone(), now);
             view.history(&history, now);
             view.on_disk(ended, now);
+            view.settle(books);
         });
         Ok(())
     }
@@ -92,17 +93,17 @@ impl RunSource {
         Ok(history)
     }
 
-    /// Returns how the run ended; `None` while it is at work.
-    fn ended(&mut self) -> Option<&'static str> {
-        if RunRecord::read(&self.directory).is_ok_and(|it| it.result.is_some()) {
-            return Some("finished");
+    /// Returns how the run ended, `None` while it is at work, and its books if it is finished.
+    fn ended(&mut self) -> (Option<&'static str>, Option<Value>) {
+        if let Some(result) = RunRecord::read(&self.directory).ok().and_then(|it| it.result) {
+            return (Some("finished"), Some(result.books));
         }
         let age = clock::age(&self.directory.join("metrics.jsonl"));
         let is_quiet = age.is_none_or(|age| age > QUIET);
         if is_quiet && self.tried_at.is_none_or(|at| at.elapsed() >= LOCK_PAUSE) {
             (self.is_left, self.tried_at) = (!is_in_use(&self.directory), Some(Instant::now()));
         }
-        (is_quiet && self.is_left).then_some("stopped")
+        ((is_quiet && self.is_left).then_some("stopped"), None)
     }
 
     /// Looks at the directory again and again, for as long as it can be read.
@@ -152,8 +153,11 @@ impl RunSource {
             }
             Err(error) => tracing::debug!(%error, "metrics not read"),
         }
-        let ended = self.ended();
-        page.with(|view, now| view.on_disk(ended, now));
+        let (ended, books) = self.ended();
+        page.with(|view, now| {
+            view.on_disk(ended, now);
+            view.settle(books);
+        });
         if let Some(play) = play.filter(|_| page.n_watching() > 0) {
             self.offer_policy(tasks, play);
         }

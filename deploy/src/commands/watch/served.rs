@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Instant;
 
+use anyhow::Context as _;
 use leadtime_watch::{EVENT_PAUSE, Page, open_paths, routes};
 use leadtime_web::{AccessToken, Guard, HttpServer, parse_address};
 use serde_json::json;
@@ -30,12 +31,14 @@ pub(in crate::commands) struct PageServer {
 }
 
 impl PageServer {
-    /// Takes an address. One that others can reach needs a token.
+    /// Takes an address that an option names. One that others can reach needs a token.
     pub(in crate::commands) async fn bind(
+        option: &'static str,
         http: &str,
         access: &AccessArgs,
     ) -> Result<Self, Failure> {
-        let address = parse_address(http, PAGE_ADDRESS).blame(ExitCode::WrongInput)?;
+        let address = parse_address(http, PAGE_ADDRESS).context(option);
+        let address = address.blame(ExitCode::WrongInput)?;
         let token = access.token.as_deref().map(token).transpose()?;
         if !address.ip().is_loopback() && token.is_none() {
             return Err(Failure::input(format!(
@@ -43,7 +46,8 @@ impl PageServer {
                  127.0.0.1, and look at it through `ssh -L`"
             )));
         }
-        let server = HttpServer::bind(address).await.blame(ExitCode::WrongInput)?;
+        let server = HttpServer::bind(address).await.context(option);
+        let server = server.blame(ExitCode::WrongInput)?;
         if !server.is_local() {
             tracing::warn!(
                 "the page is served as plain HTTP: who can read the network can read it, and its token"
