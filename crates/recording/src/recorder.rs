@@ -177,7 +177,7 @@ impl<W: Write> LiveRecorder<W> {
 
     /// Lists the clients whose session has to be asked for now, in nanoseconds since 1970, `n` at most: who has waited longest is
     /// the first, and nobody is asked for twice within a second.
-    pub fn to_ask(&mut self, now: u64, n: usize) -> Vec<ClientName> {
+    pub fn next_to_ask(&mut self, now: u64, n: usize) -> Vec<ClientName> {
         let due = self.sessions.iter_mut().filter(|(_, seen)| seen.is_due(now));
         let mut due: Vec<_> = due.collect();
         due.sort_by_key(|(_, seen)| seen.ask_at);
@@ -257,18 +257,18 @@ mod tests {
         (0..100).for_each(|i| status(&mut recorder, i as u64, &name(i)));
         let real = ClientName::new("real").unwrap();
         status(&mut recorder, 100, &real);
-        let first = recorder.to_ask(200, 64);
+        let first = recorder.next_to_ask(200, 64);
         assert_eq!(first, (0..64).map(name).collect::<Vec<_>>());
-        let second = recorder.to_ask(201, 64);
+        let second = recorder.next_to_ask(201, 64);
         assert_eq!((second.len(), second.last()), (37, Some(&real)));
-        assert!(recorder.to_ask(202, 64).is_empty());
+        assert!(recorder.next_to_ask(202, 64).is_empty());
         let answer = br#"{"session":"s","start":"a"}"#;
         recorder.note(300, &real, answer).unwrap();
         assert_eq!(recorder.counts(), (102, 1));
-        let again = recorder.to_ask(300 + SECOND, 1_000);
+        let again = recorder.next_to_ask(300 + SECOND, 1_000);
         assert_eq!(again, (0..100).map(name).collect::<Vec<_>>());
         // A clock that is set back keeps nobody waiting.
-        assert_eq!(recorder.to_ask(3, 1_000).len(), 100);
+        assert_eq!(recorder.next_to_ask(3, 1_000).len(), 100);
     }
 
     #[test]
@@ -279,7 +279,7 @@ mod tests {
             status(&mut recorder, i as u64, &name(i));
             // Whoever is asked for in vain makes room.
             if i % 64 == 63 {
-                recorder.to_ask(i as u64, 64);
+                recorder.next_to_ask(i as u64, 64);
             }
         }
         assert_eq!(recorder.placed.len(), MAX_UNKNOWN);
@@ -288,7 +288,7 @@ mod tests {
         let real = ClientName::new("real").unwrap();
         status(&mut recorder, SECOND, &real);
         let (before, _) = recorder.counts();
-        assert!(recorder.to_ask(2 * SECOND, n).contains(&real));
+        assert!(recorder.next_to_ask(2 * SECOND, n).contains(&real));
         recorder.note(2 * SECOND, &real, br#"{"session":"s","start":"a"}"#).unwrap();
         status(&mut recorder, 2 * SECOND, &real);
         assert_eq!(recorder.counts(), (before + 2, 1));

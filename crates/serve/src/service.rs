@@ -630,8 +630,7 @@ mod tests {
         let (stop, stopped) = flume::bounded::<()>(1);
         let runtime = tokio::runtime::Handle::current();
         let work = tokio::task::spawn_blocking(move || {
-            runtime
-                .block_on(notifier.run(async move { while stopped.recv_async().await.is_ok() {} }))
+            runtime.block_on(notifier.run(async move { drop(stopped.recv_async().await) }))
         });
         let clients = LiveClientLink::open(&ConnectSettings::new(vec![endpoint])).await.unwrap();
         let first = LiveClient::open(&clients, asked("first")).await.unwrap();

@@ -205,7 +205,7 @@ impl RunningRecording {
             return;
         }
         self.asked_at = Some(now);
-        for client in self.recorder.to_ask(arrived(now), n) {
+        for client in self.recorder.next_to_ask(arrived(now), n) {
             if !self.asked.insert(client.clone()) {
                 continue;
             }
