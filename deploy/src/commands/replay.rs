@@ -259,8 +259,8 @@ fn over_network(
 fn is_answer_same(answer: &Value, note: &SessionNote) -> bool {
     let is_brief = note.question["encoding"] == json!(SayForm::Binary);
     let is_told = |it: &&str| !(is_brief && answer[*it].is_null());
-    let told = ["task", "topics", "sentences"].into_iter().filter(is_told);
-    told.fold(true, |is_same, it| is_same && answer[it] == note.answer[it])
+    let mut told = ["task", "topics", "sentences"].into_iter().filter(is_told);
+    told.all(|it| answer[it] == note.answer[it])
 }
 
 /// A session of which it is not known what it was.
