@@ -624,13 +624,11 @@ function takeLog(lines) {
 
 // ---------------------------------------------------------------------------------------------- playthrough
 
-/** @type {any[]} */
-let [flight, frame] = [null, null];
+/** The last one is the newest episode that began while the picture was paused. @type {any[]} */
+let [flight, frame, waiting] = [null, null, null];
 /** Where the person has been, with what they did on the way. @type {{at: number[], colour: string}[]} */
 let trail = [];
 let paused = false;
-/** The newest episode that began while the picture was paused. */
-let waiting = /** @type {any} */ (null);
 let zones = true;
 /** @type {Record<string, string>} */
 const ACTIVITIES = { 'own plan': 'neutral', 'hearing, not yet understood': 'orange', 'reaction delay': 'purple', 'follows through': 'blue' };
@@ -641,15 +639,11 @@ const RATIOS = [0.25, 0.75];
 function takeFlight(told) {
   waiting = paused ? told : null;
   if (paused) return;
-  flight = told;
-  frame = null;
-  trail = [];
+  [flight, frame, trail] = [told, null, []];
   $('flight-note').textContent = told.problem ? '' : `version ${told.version}, episode ${told.index}`;
-  if (told.problem) {
-    $('heard').textContent = '';
-    $('unheard').textContent = told.problem;
-    $('doing').textContent = '';
-  }
+  if (!told.problem) return;
+  for (const id of ['heard', 'doing']) $(id).textContent = '';
+  $('unheard').textContent = told.problem;
 }
 
 /** @param {any} told */
@@ -890,10 +884,9 @@ $('zones').addEventListener('click', () => {
 $('pause').addEventListener('click', () => {
   paused = !paused;
   $('pause').setAttribute('aria-pressed', String(paused));
-  if (paused) return;
   // What happened meanwhile was not drawn.
-  trail = [];
-  if (waiting) takeFlight(waiting);
+  if (!paused) trail = [];
+  if (!paused && waiting) takeFlight(waiting);
 });
 document.addEventListener('visibilitychange', () => document.hidden || redrawAll());
 matchMedia('(prefers-color-scheme: dark)').addEventListener('change', redrawAll);
