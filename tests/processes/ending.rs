@@ -28,7 +28,7 @@ async fn sent_away(events: &Events<ActorEvent>) -> ActorEvent {
         }
         panic!("the learner is gone");
     };
-    tokio::time::timeout(SOON, stop).await.expect("the learner sends its actors away")
+    tokio::time::timeout(PATIENCE, stop).await.expect("the learner sends its actors away")
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -62,7 +62,7 @@ async fn an_end_that_was_planned_may_take_longer_than_an_interrupt_and_is_a_succ
         (learner, actor, events)
     };
     // Neither the actor nor the command ends when it is to: together that is more than an interrupted learner has.
-    let (timed, _timed_actor, timed_events) = begin("timed", "--stop-after 3s").await;
+    let (timed, _timed_actor, timed_events) = begin("timed", "--stop-after 10s").await;
     let (drained, _drained_actor, drained_events) = begin("drained", "").await;
     signal("USR1", drained.id());
     let _orders = tokio::join!(sent_away(&timed_events), sent_away(&drained_events));

@@ -281,6 +281,10 @@ fn names_that_somebody_invents_keep_nobody_out_of_a_recording() {
     signal("INT", recorder.id());
     recorder.finish(PATIENCE).with_code(0);
     runtime.block_on(somebody.close()).unwrap();
+    let recorded = fs::read(place.path().join("r.mcap")).unwrap();
+    let recorded = RecordingFile::read(&*recorded).unwrap();
+    let invented = recorded.clients.iter().filter(|it| it.name.starts_with("notifier/invented-"));
+    assert_eq!(invented.count(), 100, "the recorder has heard of all of them");
 }
 
 #[test]

@@ -288,7 +288,7 @@ impl Config {
         let (option, key) = (change.option, quoted(&change.key()));
         Err(ConfigError(format!(
             "{option}: `{key}` has no effect on a policy that is trained already, for whom the task has a value of its own: \
-             change `evaluation.{key}`"
+             leave it out, and change `evaluation.{key}`"
         )))
     }
 

@@ -16,9 +16,9 @@ use crate::message::record;
 use crate::topic::RecordedTopic;
 use crate::write::RecordingWriter;
 
-/// How many clients have a place in the file, whether or not the notifier says anything of them.
+/// How many clients have a place in the file of which the notifier has said nothing.
 const MAX_UNKNOWN: usize = 1_024;
-/// How many clients have one at all, and of how many it is known what they are. Of each there are six channels at most.
+/// How many clients have a place at all, and of how many it is known what they are. Of each there are six channels at most.
 const MAX_CLIENTS: usize = 8_192;
 /// How often it is asked what a client's session is, in nanoseconds.
 const ASK_EVERY: u64 = 1_000_000_000;
@@ -57,8 +57,10 @@ pub struct LiveRecorder<W: Write> {
     writer: RecordingWriter<W>,
     service: ServiceName,
     sessions: BTreeMap<ClientName, SeenSession>,
-    /// The clients that have a place in the file.
-    placed: BTreeSet<ClientName>,
+    /// The clients that have a place in the file, and whether the notifier has said what they are.
+    placed: BTreeMap<ClientName, bool>,
+    /// How many of them it has said nothing of.
+    n_unknown: usize,
     n_sessions: usize,
     n_passed_over: u64,
 }
@@ -66,8 +68,9 @@ pub struct LiveRecorder<W: Write> {
 impl<W: Write> LiveRecorder<W> {
     /// Records the clients of a notifier.
     pub fn new(writer: RecordingWriter<W>, service: ServiceName) -> Self {
-        let (sessions, placed) = (BTreeMap::new(), BTreeSet::new());
-        Self { writer, service, sessions, placed, n_sessions: 0, n_passed_over: 0 }
+        let (sessions, placed) = (BTreeMap::new(), BTreeMap::new());
+        let (n_unknown, n_sessions, n_passed_over) = (0, 0, 0);
+        Self { writer, service, sessions, placed, n_unknown, n_sessions, n_passed_over }
     }
 
     /// Writes a message that arrived at `at`, in nanoseconds since 1970.
@@ -107,12 +110,20 @@ impl<W: Write> LiveRecorder<W> {
 
     /// Gives a client a place in the file; `false` if it gets none, or none before the notifier says what it is.
     fn place(&mut self, client: &ClientName) -> bool {
-        if self.placed.contains(client) {
+        let is_known = self.sessions.get(client).is_some_and(|seen| seen.is_recorded);
+        if let Some(was_known) = self.placed.get_mut(client) {
+            // Somebody else can have its place among those of whom nothing is said.
+            self.n_unknown -= usize::from(is_known && !*was_known);
+            *was_known |= is_known;
             return true;
         }
-        let is_known = self.sessions.get(client).is_some_and(|seen| seen.is_recorded);
-        let has_room = self.placed.len() < if is_known { MAX_CLIENTS } else { MAX_UNKNOWN };
-        has_room && self.placed.insert(client.clone())
+        let has_room =
+            self.placed.len() < MAX_CLIENTS && (is_known || self.n_unknown < MAX_UNKNOWN);
+        if has_room {
+            self.n_unknown += usize::from(!is_known);
+            self.placed.insert(client.clone(), is_known);
+        }
+        has_room
     }
 
     /// Writes the lines of a message that are new: each message repeats some. Of a client without a place it is only seen that
@@ -157,8 +168,7 @@ impl<W: Write> LiveRecorder<W> {
         }
     }
 
-    /// Notices a client's session; nothing where there are too many already, each with something that the notifier says of it
-    /// or not asked for yet.
+    /// Notices a client's session; `None` where there is no room: all others are known, or have yet to be asked for.
     fn see(&mut self, at: u64, client: &ClientName, id: &str) -> Option<&mut SeenSession> {
         if self.sessions.len() >= MAX_CLIENTS && !self.sessions.contains_key(client) {
             // One that was asked for in vain makes room.
@@ -175,10 +185,16 @@ impl<W: Write> LiveRecorder<W> {
         Some(seen)
     }
 
-    /// Lists the clients whose session has to be asked for now, in nanoseconds since 1970, `n` at most: who has waited longest is
-    /// the first, and nobody is asked for twice within a second.
-    pub fn next_to_ask(&mut self, now: u64, n: usize) -> Vec<ClientName> {
-        let due = self.sessions.iter_mut().filter(|(_, seen)| seen.is_due(now));
+    /// Lists the clients whose session has to be asked for now, in nanoseconds since 1970, but for those that are being asked for,
+    /// `n` at most: who has waited longest is the first, and nobody is asked for twice within a second.
+    pub fn next_to_ask(
+        &mut self,
+        now: u64,
+        n: usize,
+        asked: &BTreeSet<ClientName>,
+    ) -> Vec<ClientName> {
+        let due = self.sessions.iter_mut();
+        let due = due.filter(|(client, seen)| seen.is_due(now) && !asked.contains(*client));
         let mut due: Vec<_> = due.collect();
         due.sort_by_key(|(_, seen)| seen.ask_at);
         let asked = due.into_iter().take(n).map(|(client, seen)| {
@@ -218,7 +234,7 @@ impl<W: Write> LiveRecorder<W> {
         (self.writer.n_messages(), self.n_sessions)
     }
 
-    /// Returns how many messages were passed over: of clients that the notifier says nothing of, where there are too many.
+    /// Returns how many messages were passed over, because the recording has no room for their client or its keys.
     pub fn n_passed_over(&self) -> u64 {
         self.n_passed_over + self.writer.n_passed_over()
     }
@@ -257,18 +273,18 @@ mod tests {
         (0..100).for_each(|i| status(&mut recorder, i as u64, &name(i)));
         let real = ClientName::new("real").unwrap();
         status(&mut recorder, 100, &real);
-        let first = recorder.next_to_ask(200, 64);
+        let first = recorder.next_to_ask(200, 64, &BTreeSet::new());
         assert_eq!(first, (0..64).map(name).collect::<Vec<_>>());
-        let second = recorder.next_to_ask(201, 64);
+        let second = recorder.next_to_ask(201, 64, &BTreeSet::new());
         assert_eq!((second.len(), second.last()), (37, Some(&real)));
-        assert!(recorder.next_to_ask(202, 64).is_empty());
+        assert!(recorder.next_to_ask(202, 64, &BTreeSet::new()).is_empty());
         let answer = br#"{"session":"s","start":"a"}"#;
         recorder.note(300, &real, answer).unwrap();
         assert_eq!(recorder.counts(), (102, 1));
-        let again = recorder.next_to_ask(300 + SECOND, 1_000);
+        let again = recorder.next_to_ask(300 + SECOND, 1_000, &BTreeSet::new());
         assert_eq!(again, (0..100).map(name).collect::<Vec<_>>());
         // A clock that is set back keeps nobody waiting.
-        assert_eq!(recorder.next_to_ask(3, 1_000).len(), 100);
+        assert_eq!(recorder.next_to_ask(3, 1_000, &BTreeSet::new()).len(), 100);
     }
 
     #[test]
@@ -279,18 +295,41 @@ mod tests {
             status(&mut recorder, i as u64, &name(i));
             // Whoever is asked for in vain makes room.
             if i % 64 == 63 {
-                recorder.next_to_ask(i as u64, 64);
+                recorder.next_to_ask(i as u64, 64, &BTreeSet::new());
             }
         }
-        assert_eq!(recorder.placed.len(), MAX_UNKNOWN);
+        assert_eq!((recorder.placed.len(), recorder.n_unknown), (MAX_UNKNOWN, MAX_UNKNOWN));
         assert_eq!(recorder.sessions.len(), MAX_CLIENTS);
         assert_eq!(recorder.n_passed_over(), (n - MAX_UNKNOWN) as u64);
         let real = ClientName::new("real").unwrap();
         status(&mut recorder, SECOND, &real);
         let (before, _) = recorder.counts();
-        assert!(recorder.next_to_ask(2 * SECOND, n).contains(&real));
+        assert!(recorder.next_to_ask(2 * SECOND, n, &BTreeSet::new()).contains(&real));
         recorder.note(2 * SECOND, &real, br#"{"session":"s","start":"a"}"#).unwrap();
         status(&mut recorder, 2 * SECOND, &real);
         assert_eq!(recorder.counts(), (before + 2, 1));
+    }
+
+    #[test]
+    fn clients_that_are_known_take_nobody_the_place_of_one_that_is_not() {
+        let mut recorder = recorder();
+        let n = MAX_UNKNOWN + 76;
+        for i in 0..n {
+            status(&mut recorder, i as u64, &name(i));
+            recorder.note(i as u64, &name(i), br#"{"session":"s","start":"a"}"#).unwrap();
+        }
+        let (before, n_sessions) = recorder.counts();
+        assert_eq!((n_sessions, recorder.n_unknown), (n, 0));
+        status(&mut recorder, SECOND, &ClientName::new("new").unwrap());
+        assert_eq!(recorder.counts(), (before + 1, n));
+        assert_eq!(recorder.n_passed_over(), 0);
+    }
+
+    #[test]
+    fn who_is_being_asked_for_takes_no_turn_of_those_that_wait() {
+        let mut recorder = recorder();
+        (0..3).for_each(|i| status(&mut recorder, i as u64, &name(i)));
+        let asked = BTreeSet::from([name(0), name(1)]);
+        assert_eq!(recorder.next_to_ask(200, 1, &asked), [name(2)]);
     }
 }

@@ -67,7 +67,7 @@ impl<W: Write> RecordingWriter<W> {
     }
 
     /// Adds a message; `at` is when it arrived, in nanoseconds since 1970. One of a further key is passed over once there are
-    /// 60,000 of them.
+    /// [`MAX_CHANNELS`] of them.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! The thread that keeps the states of sessions: a slow disk delays it, and no client.
+//! The thread that keeps the states of sessions: a disk that is slow to write delays it, and no client.
 //!
 //! ```text
 //! notifier --keep, forget--> one place per client: the newest counts --thread--> StateStore
@@ -9,13 +9,18 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::ops::Bound;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::{self, JoinHandle};
+use std::thread;
+use std::time::Duration;
 
 use leadtime_proto::ClientName;
 use tracing::warn;
 
-/// The most clients whose states wait: far more than have sessions at once.
+/// The most clients whose states wait: of sessions that last, and of some that are over.
 const MAX_WAITING: usize = 1_024;
+/// Beyond them as many wait to be forgotten: a client must not get a session again that is over.
+const MAX_CHANGES: usize = 2 * MAX_WAITING;
+/// How long the last states may take once the notifier ends.
+const LAST_STATES: Duration = Duration::from_secs(5);
 
 /// Where the state of sessions is kept, so that a restarted notifier goes on with them.
 pub trait StateStore: Send + Sync + fmt::Debug {
@@ -69,11 +74,15 @@ impl StatePlaces {
 
     fn put(&self, client: &ClientName, change: StateChange) {
         let mut waiting = self.lock();
-        if waiting.newest.len() < MAX_WAITING || waiting.newest.contains_key(client) {
+        let most = match change {
+            StateChange::Keep(_) => MAX_WAITING,
+            StateChange::Forget => MAX_CHANGES,
+        };
+        if waiting.newest.len() < most || waiting.newest.contains_key(client) {
             waiting.newest.insert(client.clone(), change);
             self.changed.notify_one();
         } else if !std::mem::replace(&mut waiting.is_full_told, true) {
-            warn!(%client, "the disk is too slow for the states of so many clients; some are not kept");
+            warn!(%client, "the disk is too slow for the states of so many clients; some are not kept, or not removed");
         }
     }
 
@@ -109,21 +118,31 @@ impl StatePlaces {
     }
 }
 
-/// Keeps states in a store, on a thread of its own; once it is dropped, what waits is kept and the thread ends.
+/// No value: only the end of the thread is told.
+#[derive(Debug)]
+enum Never {}
+
+/// Keeps states in a store, on a thread of its own; once it is dropped, what waits is kept, within [`LAST_STATES`], and the thread
+/// ends.
 #[derive(Debug)]
 pub(crate) struct StateKeeper {
     store: Arc<dyn StateStore>,
     places: Arc<StatePlaces>,
-    handle: Option<JoinHandle<()>>,
+    /// Disconnected once the thread has ended.
+    ended: flume::Receiver<Never>,
 }
 
 impl StateKeeper {
     pub(crate) fn start(store: Arc<dyn StateStore>) -> std::io::Result<Self> {
         let places = Arc::new(StatePlaces::default());
         let (into, from) = (Arc::clone(&store), Arc::clone(&places));
-        let work = move || keep_all(into.as_ref(), &from);
-        let handle = thread::Builder::new().name("live-state".to_owned()).spawn(work)?;
-        Ok(Self { store, places, handle: Some(handle) })
+        let (at_work, ended) = flume::bounded(0);
+        let work = move || {
+            keep_all(into.as_ref(), &from);
+            drop(at_work);
+        };
+        thread::Builder::new().name("live-state".to_owned()).spawn(work)?;
+        Ok(Self { store, places, ended })
     }
 
     /// Keeps the state of a client's session soon, instead of what was kept of it. Never waits for the disk.
@@ -150,8 +169,8 @@ impl Drop for StateKeeper {
     fn drop(&mut self) {
         self.places.lock().has_ended = true;
         self.places.changed.notify_one();
-        if let Some(handle) = self.handle.take() {
-            drop(handle.join());
+        if let Err(flume::RecvTimeoutError::Timeout) = self.ended.recv_timeout(LAST_STATES) {
+            warn!("the disk is too slow for the last states of sessions; they are not kept");
         }
     }
 }

@@ -5,8 +5,8 @@ use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::{End, Environment, EpisodeSeed, SnapshotError, StepOutcome};
 use serde::{Deserialize, Serialize};
 
-use crate::launch::WorkerLaunch;
-use crate::link::{MAX_STATE_BYTES, not_the_same};
+use crate::launch::{MAX_STATE_BYTES, WorkerLaunch};
+use crate::link::not_the_same;
 use crate::pool::{WorkerPlace, Workers};
 use crate::settings::SnapshotKind;
 use crate::slot::StepProgress;
@@ -264,6 +264,7 @@ mod tests {
         let workers = Workers::default();
         workers.permit_configured();
         let launch = workers.launch(&settings).map_err(|error| error.to_string());
+        let launch = launch.map(|launch| WorkerLaunch { max_action_bytes: 8, ..launch });
         let mut env = PythonEnvironment::new(workers, launch, snapshot, spec);
         let mut observation = [0.0; 4];
         env.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(3), episode: 0 }, &mut observation);

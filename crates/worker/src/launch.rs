@@ -3,12 +3,15 @@
 use std::time::Duration;
 
 use leadtime_proto::EnvSpec;
+use leadtime_proto::limits::MAX_SNAPSHOT_BYTES;
 use serde_json::json;
 
 use crate::error::Error;
 use crate::protocol::{FrameShape, WorkerHello};
 use crate::settings::{PythonSettings, SnapshotKind, SpecSetting, WorldSpec};
 
+/// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
+pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
 /// A worker that has only just started may take this long to import its packages.
 const START_TIMEOUT: Duration = Duration::from_mins(1);
 
@@ -25,6 +28,8 @@ pub(crate) struct WorkerLaunch {
     /// Environments that one worker steps.
     pub(crate) batch: usize,
     pub(crate) step_timeout: Duration,
+    /// The most bytes of actions that an environment is put back by.
+    pub(crate) max_action_bytes: usize,
     /// What the environments must look like, where that is known.
     pub(crate) expected: Option<WorldSpec>,
 }
@@ -45,6 +50,7 @@ impl WorkerLaunch {
             snapshot: settings.snapshot,
             batch: settings.batch as usize,
             step_timeout: settings.step_timeout,
+            max_action_bytes: MAX_STATE_BYTES,
             expected: match &settings.spec {
                 SpecSetting::Ask => None,
                 SpecSetting::Known(spec) => Some(spec.clone()),

@@ -7,24 +7,18 @@
 
 use std::time::{Duration, Instant};
 
-use leadtime_proto::limits::MAX_SNAPSHOT_BYTES;
 use leadtime_sims::EpisodeSeed;
 use tracing::warn;
 
 use crate::deaths::{MAX_DEATHS, WorkerDeaths};
 use crate::error::Error;
-use crate::launch::WorkerLaunch;
+use crate::launch::{MAX_STATE_BYTES, WorkerLaunch};
 use crate::process::{LineLimit, NotBegun, WorkerProcess};
 use crate::protocol::{
     FrameKind, FrameShape, FrameWriter, ProtocolError, StepRow, WorkerHello, read_stepped,
 };
 use crate::settings::SnapshotKind;
 use crate::slot::{StepProgress, WorkerSlot, reset_seed};
-
-/// The most bytes of actions, or of a pickle, that a snapshot holds: it has to fit one of the run's.
-pub(crate) const MAX_STATE_BYTES: usize = MAX_SNAPSHOT_BYTES - (64 << 10);
-/// The most bytes of actions that an environment is put back by.
-const MAX_ACTION_BYTES: usize = if cfg!(test) { 8 } else { MAX_STATE_BYTES };
 
 /// A worker and its environments.
 #[derive(Debug)]
@@ -274,7 +268,7 @@ impl WorkerLink {
     /// Sees to it that an environment's actions fit a snapshot: they begin anew at a pickle, or the episode is too long.
     pub(crate) fn bound_actions(&mut self, place: usize) {
         let slot = &mut self.slots[place];
-        if slot.actions.len() <= MAX_ACTION_BYTES {
+        if slot.actions.len() <= self.launch.max_action_bytes {
             return;
         }
         if self.launch.snapshot == SnapshotKind::Pickle {

@@ -205,10 +205,8 @@ impl RunningRecording {
             return;
         }
         self.asked_at = Some(now);
-        for client in self.recorder.next_to_ask(arrived(now), n) {
-            if !self.asked.insert(client.clone()) {
-                continue;
-            }
+        for client in self.recorder.next_to_ask(arrived(now), n, &self.asked) {
+            self.asked.insert(client.clone());
             let (asker, sender) = (asker.clone(), sender.clone());
             tokio::spawn(async move {
                 let answer = asker.ask(&client).await.ok();
@@ -245,7 +243,7 @@ impl RunningRecording {
         if n > self.n_passed_over {
             let n_new = counted(n - self.n_passed_over, "message");
             tracing::warn!(
-                "{n_new} came of clients that the notifier says nothing of, and there are too many of them: not recorded"
+                "{n_new} came of more clients than a recording has room for, or than it has for those that the notifier has not described: not recorded"
             );
             self.n_passed_over = n;
         }
