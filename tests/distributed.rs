@@ -613,8 +613,10 @@ async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
     // On the word of one actor it is not cut off.
     assert_reported(
         &events,
-        |event| matches!(event, RunEvent::Distrusted { actor, .. } if actor.as_str() == "rogue"),
+        |event| matches!(event, RunEvent::Distrusted { actor, reason } if actor.as_str() == "rogue" && reason.contains("cannot restore")),
     );
+    let events = events.lock().unwrap();
+    assert!(!events.iter().any(|event| matches!(event, RunEvent::CutOff { .. })), "{events:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -141,7 +141,7 @@ impl Books {
         *self.refusals.entry(cause).or_default() += n;
     }
 
-    /// Returns whether a fresh episode took the place of one that nobody could restore: without that other numbers are trained on.
+    /// Returns whether a fresh episode took the place of one that nobody could restore: without it other numbers would have been trained on.
     pub fn has_fresh_episodes(&self) -> bool {
         self.refusals.contains_key(&RefusalCause::FreshEpisode)
     }

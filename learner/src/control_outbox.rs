@@ -9,6 +9,7 @@ use leadtime_proto::message::{Assignment, Control, ControlReply};
 use leadtime_proto::{EnvId, Epoch};
 use tokio::sync::mpsc;
 use tokio::task::AbortHandle;
+use tokio::time::Instant;
 use tracing::debug;
 
 use crate::books::SenderKey;
@@ -23,6 +24,8 @@ const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 const RESTORE_TIMEOUT: Duration = Duration::from_mins(2);
 /// How often a message is sent before the actor is given up.
 const ATTEMPTS: usize = 2;
+/// How long what an actor was told is still sent once it is gone.
+const LAST_WORDS: Duration = ACK_TIMEOUT.saturating_mul(ATTEMPTS as u32);
 /// The most outcomes that wait to be noticed.
 const QUEUED_OUTCOMES: usize = 256;
 
@@ -47,6 +50,7 @@ struct Courier {
     membership: MembershipNumber,
     /// Where its messages are queued; none once the actor is gone.
     messages: Option<mpsc::Sender<Control>>,
+    gone_at: Option<Instant>,
     task: AbortHandle,
 }
 
@@ -79,7 +83,7 @@ impl ControlOutbox {
             let (messages, queued) = mpsc::channel(QUEUED);
             let delivery = deliver(Arc::clone(link), to.clone(), membership, queued, told.clone());
             let task = tokio::spawn(delivery).abort_handle();
-            Courier { membership, messages: Some(messages), task }
+            Courier { membership, messages: Some(messages), gone_at: None, task }
         };
         let courier = self.couriers.entry(to.clone()).or_insert_with(start);
         if courier.membership != membership || matches!(control, Control::Stop { .. }) {
@@ -90,12 +94,16 @@ impl ControlOutbox {
         courier.messages.as_ref().is_some_and(|messages| messages.try_send(control).is_ok())
     }
 
-    /// Lets the tasks of actors that are gone end; what they hold is still sent if it can be, until the actor is a member
-    /// again.
+    /// Lets the tasks of actors that are gone end; what they hold is still sent for [`LAST_WORDS`] if it can be, until the actor is a
+    /// member again.
     pub(crate) fn retain(&mut self, wanted: impl Fn(&SenderKey) -> bool) {
         for (key, courier) in &mut self.couriers {
-            if !wanted(key) {
-                courier.messages = None;
+            if wanted(key) {
+                continue;
+            }
+            courier.messages = None;
+            if courier.gone_at.get_or_insert_with(Instant::now).elapsed() >= LAST_WORDS {
+                courier.task.abort();
             }
         }
         self.couriers.retain(|_, courier| !courier.task.is_finished());

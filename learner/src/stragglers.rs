@@ -131,8 +131,11 @@ impl Stragglers {
     /// Notes that a member is given snapshots, which it has to restore before it answers.
     pub(crate) fn restores(&mut self, actor: &ActorId, epoch: Epoch, n_snapshots: usize) {
         let n_snapshots = u32::try_from(n_snapshots).unwrap_or(u32::MAX);
-        let ticks_left = n_snapshots.saturating_mul(RESTORE_TICKS.0).min(RESTORE_TICKS.1);
         let wait = self.waits.entry(actor.clone()).or_default();
+        // What it was given before comes first.
+        let before = wait.restoring.map_or(0, |restoring| restoring.ticks_left);
+        let ticks_left = n_snapshots.saturating_mul(RESTORE_TICKS.0).saturating_add(before);
+        let ticks_left = ticks_left.min(RESTORE_TICKS.1);
         wait.restoring = Some(Restoring { epoch, ticks_left });
     }
 
@@ -360,6 +363,11 @@ mod tests {
             let found = ticks(&mut restoring(n_snapshots), 1_000, |_, _| lacking.clone());
             assert_eq!(found, Some((n_ticks + TAKE_AFTER + 1, id("slow"))));
         }
+        // What it is given meanwhile adds to that.
+        let mut s = restoring(4);
+        s.restores(&id("slow"), Epoch(4), 1);
+        let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
+        assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
         // Once it has answered, it is compared with the others again.
         let mut s = restoring(4);
         let found = ticks(&mut s, 1_000, |tick, s| {

@@ -69,7 +69,7 @@ pub struct Authority {
     directory: PathBuf,
     ends: Timestamp,
     issuer: Issuer<'static, KeyPair>,
-    /// Holds the last serial number, and the lock; open to be read.
+    /// Holds the last serial number, and the lock.
     serial: File,
 }
 
@@ -237,11 +237,10 @@ impl Authority {
             made.push(self.renew_one(issued, now)?);
             Ok(())
         });
-        if !made.is_empty() {
-            let (stamp, text) = (self.directory.join(STAMP), format!("{now}\n"));
-            files::write(&stamp, &text, Readers::Everybody, Durability::Eventual)?;
-        }
-        all_made.map(|()| made)
+        let (stamp, text) = (self.directory.join(STAMP), format!("{now}\n"));
+        let stamped = || files::write(&stamp, &text, Readers::Everybody, Durability::Eventual);
+        let told = if made.is_empty() { Ok(()) } else { stamped() };
+        all_made.and(told).map(|()| made)
     }
 
     fn renew_one(&mut self, issued: Issued, now: Timestamp) -> Result<Issued> {

@@ -94,16 +94,13 @@ pub(crate) fn check_key_is_secret(path: &Path) -> Result<()> {
     Err(Error::OpenKey { path: path.to_owned(), mode })
 }
 
-/// Takes a directory for this process alone, until the file is dropped. The file is made if it is not there, and only read: closing
-/// one that could be written tells whoever watches the directory of a change.
+/// Takes a directory for this process alone, until the file is dropped. The file is made if it is not there.
 pub(crate) fn lock(path: &Path, directory: &Path) -> Result<File> {
     if path.exists() {
         check_is_file(path)?;
-    } else {
-        let made = File::options().create(true).append(true).open(path);
-        made.map_err(failed("write", path))?;
     }
-    let file = File::open(path).map_err(failed("read", path))?;
+    let file = File::options().read(true).write(true).create(true).truncate(false).open(path);
+    let file = file.map_err(failed("write", path))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(fs::TryLockError::WouldBlock) => Err(Error::Busy(directory.to_owned())),

@@ -27,9 +27,8 @@ impl ToldRefusals {
     /// Logs that a message of this kind was refused, as a warning if it is time for one.
     pub(crate) fn tell(&self, kind: &'static str, refusal: &Refusal) {
         match self.count(kind, refusal.cause, Instant::now()) {
-            None => debug!(%refusal, "{kind} refused"),
-            Some(1) => warn!(%refusal, "{kind} refused"),
-            Some(n) => warn!(%refusal, "{kind} refused ({n} times since the last line)"),
+            None => debug!(kind, %refusal, "message refused"),
+            Some(n) => warn!(kind, n, %refusal, "message refused"),
         }
     }
 

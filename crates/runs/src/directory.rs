@@ -114,7 +114,7 @@ impl RunDir {
     }
 
     /// Reads the weights that a run is to start from; `None` if they cannot be read and the run that the configuration names has
-    /// begun from them: it has its own copy, and checkpoints.
+    /// begun from them: it has its own copy of the weights.
     ///
     /// # Errors
     ///

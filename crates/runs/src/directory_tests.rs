@@ -88,6 +88,11 @@ fn an_unfinished_run_of_the_same_configuration_is_taken_up_again() {
     drop(longer);
     let (again, state) = open(runs.path(), Some(name.as_str()), &[]).unwrap();
     assert_eq!((state, again.record.resumed), (RunState::Unfinished, 2));
+    // A score at which it ends changes nothing of what has been trained.
+    let runs = tempfile::tempdir().unwrap();
+    let name = begun(runs.path(), None, &["evaluation.stop_at=0.9"]);
+    let (higher, state) = open(runs.path(), None, &["evaluation.stop_at=0.95"]).unwrap();
+    assert_eq!((&higher.name, state), (&name, RunState::Unfinished));
 }
 
 #[test]

@@ -145,7 +145,7 @@ pub(crate) fn unfinished(config: &Config) -> Vec<RunName> {
         let state = compare(&record, &before, &config.table, &name, &[]).ok()?;
         // One that is to become longer is asked for by its name: its learning rate would fall over another length.
         let changes = identity::difference(&before, &config.table);
-        let is_same = changes.iter().all(|change| identity::is_free(&change.key));
+        let is_same = changes.iter().all(|change| change.key != identity::TOTAL_STEPS);
         let trained = TrainingTraces::find(&path, &record).ok()?;
         trained.check(&path, &name, &before).ok()?;
         let is_open = record.result.is_none() && state == RunState::Unfinished;

@@ -120,8 +120,9 @@ async fn until_connected(router: &RouterLink, expected: (usize, usize)) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_router_below_is_not_taken_for_the_one_above() {
-    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
-    let nobody: Endpoint = format!("tcp/{nobody}").parse().unwrap();
+    let directory = tempfile::tempdir().unwrap();
+    let nobody = directory.path().join("none");
+    let nobody: Endpoint = format!("unixsock-stream/{}", nobody.display()).parse().unwrap();
     let (middle, at_middle) = router(Some(&nobody)).await;
     let (leaf, _) = router(Some(&at_middle)).await;
     until_connected(&leaf, (1, 0)).await;
