@@ -75,6 +75,8 @@ def commands(page):
 
 def shortened(line):
     """Returns a command that can be run here, and soon."""
+    # Nothing can be changed in a run that is finished.
+    line = re.sub(r"\bNAME\b", "begun", line) if "--change" in line else line
     for name, value in [(r"\bRUN\.\.\.", "made"), (r"\bRUN\b", "made"), (r"-c NAME\b", "-c lander"), (r"-c FILE\b", "-c my.toml"), (r"\bNAME\b", "made"),
                         (r"\bA B\b", "made again"), (r"\bDOMAIN\b", "lander"), (r"\bPOLICY\b", "made"), (r"\b7447\b", str(free_port())), (r"\b8080\b", str(free_port())),
                         (r"^python3", sys.executable)]:
@@ -117,13 +119,13 @@ def shows(expected, printed):
 
 
 def prepare(scratch):
-    """Makes what the pages' commands speak of: two equal runs, one with varied listeners, files of one's own."""
+    """Makes what the pages' commands speak of: two equal runs, one with varied listeners, one that is not finished, files of one's own."""
     for name in ("deploy", "tests", "examples", "crates", "bench"):
         (scratch / name).symlink_to(ROOT / name)
     # Some commands write pictures there.
     shutil.copytree(ROOT / "docs", scratch / "docs")
     delay = """--set 'human.reaction_delay={uniform={low=0,high=5,drawn="per_episode"}}'"""
-    for name, more in [("made", ""), ("again", ""), ("varied", delay)]:
+    for name, more in [("made", ""), ("again", ""), ("varied", delay), ("begun", "--stop-after 1")]:
         made = run(f"leadtime up -c lander --name {name} --set learner.total_steps=40000 {more}", scratch)
         assert made.returncode == 0, made.stderr
     (scratch / "words").mkdir()
