@@ -119,6 +119,10 @@ fn racers_that_end_before_the_quarter_are_compared_as_they_ended() {
         assert_eq!(racer["quarter"]["updates"], 1, "{raced}");
     }
     assert_eq!(race(&place, early), raced);
+    // How often they are evaluated decides where they end.
+    let seldom = early.replace("during_training=20", "during_training=10");
+    let refused = place.finish(&[RACE, &seldom]).with_code(2);
+    refused.saying(&["began with another configuration: evaluation.during_training: 20 -> 10"]);
 }
 
 #[test]

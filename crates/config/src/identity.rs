@@ -84,10 +84,15 @@ pub fn decides_best(key: &str) -> bool {
     key.starts_with(EVALUATION) && key != EPISODES
 }
 
+/// Returns whether a key decides the weights that a run with these settings ends with.
+pub fn decides_weights(key: &str, settings: &Table) -> bool {
+    !is_free(key) || decides_end(key, settings)
+}
+
 /// Returns whether a key decides when a run with these settings ends, by what its policies reach while it trains.
 ///
 /// That is so only where `evaluation.stop_at` is set; elsewhere such a key is free.
-pub fn decides_end(key: &str, settings: &Table) -> bool {
+fn decides_end(key: &str, settings: &Table) -> bool {
     let stop_at = STOP_AT.strip_prefix(EVALUATION).unwrap_or_default();
     let section = settings.get("evaluation").and_then(Value::as_table);
     decides_best(key) && section.is_some_and(|section| section.contains_key(stop_at))

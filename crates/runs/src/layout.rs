@@ -167,8 +167,9 @@ pub(crate) fn compare(
         }
     };
     let mut changes = difference(before, now);
-    let is_free = |key: &str| identity::is_free(key) && !identity::decides_end(key, now);
-    changes.retain(|change| !is_free(&change.key) && !allowed.contains(&change.key));
+    changes.retain(|change| {
+        identity::decides_weights(&change.key, now) && !allowed.contains(&change.key)
+    });
     let longer: Vec<Change> = changes.extract_if(.., |change| is_longer(change)).collect();
     if !changes.is_empty() {
         let changes = changes.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");

@@ -227,7 +227,7 @@ impl Race {
                 )));
             }
             let mut changes = identity::difference(&read_config(directory)?, &config.table);
-            changes.retain(|change| !identity::is_free(&change.key));
+            changes.retain(|change| identity::decides_weights(&change.key, &config.table));
             if !changes.is_empty() {
                 let changes: Vec<String> = changes.iter().map(ToString::to_string).collect();
                 return Err(RunDirError::Refused(format!(

@@ -100,7 +100,7 @@ pub(crate) fn hash(table: &Table, policy: WhichPolicy) -> String {
 /// Returns whether a key decides this policy of a training with these settings.
 pub(crate) fn decides(key: &str, table: &Table, policy: WhichPolicy) -> bool {
     let is_best = policy == WhichPolicy::Best && identity::decides_best(key);
-    is_best || !identity::is_free(key) || identity::decides_end(key, table)
+    is_best || identity::decides_weights(key, table)
 }
 
 /// Checks that every requested profile takes the place of some part's, and no two of the same.
