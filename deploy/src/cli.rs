@@ -1,7 +1,6 @@
 //! The command line, as clap reads it; every command's arguments are one struct.
 
 use std::ffi::OsString;
-use std::fmt;
 use std::ops::Range;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -306,21 +305,20 @@ impl StopAfter {
         }
     }
 
+    /// Returns the updates or steps as a learner's option has them; `None` where time decides.
+    pub(crate) fn amount(self) -> Option<String> {
+        match self {
+            Self::Updates(updates) => Some(updates.to_string()),
+            Self::Steps(steps) => Some(format!("{steps}steps")),
+            Self::Time(_) => None,
+        }
+    }
+
     /// Returns the time after which it stops; `None` where updates or steps decide.
     pub(crate) fn time(self) -> Option<Duration> {
         match self {
             Self::Time(time) => Some(time),
             Self::Updates(_) | Self::Steps(_) => None,
-        }
-    }
-}
-
-impl fmt::Display for StopAfter {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Updates(updates) => write!(f, "{updates}"),
-            Self::Steps(steps) => write!(f, "{steps}steps"),
-            Self::Time(time) => write!(f, "{}ms", time.as_millis()),
         }
     }
 }

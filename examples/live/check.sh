@@ -3,19 +3,12 @@
 set -euo pipefail
 program=$(realpath "$1") python=$(realpath -s "$2")
 cd "$(dirname "$0")/../.."
+. examples/live/await.sh
 place=$(mktemp -d)
 # 100 steps of 20 ms hold several sentences only where a word takes a step.
 "$program" serve deploy/policies/piloting.safetensors --listen tcp/127.0.0.1:0 --voice text 2>"$place/log" &
 notifier=$! recorder=
 trap 'kill $notifier $recorder 2>/dev/null; wait || true; rm -rf "$place"' EXIT
-await() {
-    for _ in $(seq 100); do
-        grep -q "$1" "$2" && return
-        sleep 0.1
-    done
-    cat "$2"
-    exit 1
-}
 await "is at work at" "$place/log"
 endpoint=$(sed -n 's/.* is at work at \(tcp[^ ]*\).*/\1/p' "$place/log")
 "$program" record --connect "$endpoint" -o "$place/client.mcap" 2>"$place/recorded" &

@@ -4,6 +4,7 @@
 set -euo pipefail
 program=$(realpath "$1")
 cd "$(dirname "$0")/../.."
+. examples/live/await.sh
 place=$(mktemp -d)
 trap 'rm -rf "$place"' EXIT
 flags="-std=c11 -O1 -Wall -Wextra -Werror"
@@ -36,8 +37,5 @@ cc $flags -DZENOH_LINUX examples/live/client.c $(pkg-config --cflags --libs zeno
 "$program" serve deploy/policies/piloting.safetensors --listen tcp/127.0.0.1:0 2>"$place/log" &
 notifier=$!
 trap 'kill $notifier; wait $notifier || true; rm -rf "$place"' EXIT
-for _ in $(seq 100); do
-    grep -q "is at work at" "$place/log" && break
-    sleep 0.1
-done
+await "is at work at" "$place/log"
 "$place/client" "$(sed -n 's/.* is at work at \(tcp[^ ]*\).*/\1/p' "$place/log")"

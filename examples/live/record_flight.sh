@@ -6,20 +6,13 @@ set -euo pipefail
 program=$(realpath "$1")
 # The recording names its policy as the notifier was given it: from here.
 cd "$(dirname "$0")/../.."
+. examples/live/await.sh
 policy=deploy/policies/piloting_hard.safetensors
 place=$(mktemp -d)
 endpoint=unixsock-stream/$place/n.sock
 "$program" serve "$policy" --listen "$endpoint" 2>"$place/log" &
 notifier=$! recorder=
 trap 'kill $notifier $recorder 2>/dev/null; wait || true; rm -rf "$place"' EXIT
-await() {
-    for _ in $(seq 100); do
-        grep -q "$1" "$2" && return
-        sleep 0.1
-    done
-    cat "$2"
-    exit 1
-}
 await "is at work at" "$place/log"
 "$program" record --connect "$endpoint" --live flight -o "$place/flight.mcap" 2>"$place/recorded" &
 recorder=$!

@@ -221,7 +221,7 @@ mod tests {
         };
         // Sixteen environments in Python may take 70 s.
         assert!(timeout_of(&assign(b"state")) > Duration::from_secs(70));
-        // Nothing else takes an actor long, and whoever does not answer holds up the run.
+        // Nothing else takes an actor long, and one that does not answer holds up the run.
         let stop = Control::Stop { reason: String::new(), cut_off: false };
         for control in [assign(b""), Control::Wait, stop] {
             assert_eq!(timeout_of(&control), ACK_TIMEOUT);

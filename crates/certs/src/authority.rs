@@ -340,10 +340,10 @@ impl Authority {
         let last = if last.is_empty() { Ok(0) } else { last.parse::<u64>() };
         let next = last.ok().and_then(|last| last.checked_add(1));
         let next = next.ok_or_else(|| content(&path)(NO_SERIAL.to_owned()))?;
-        let write = || {
+        let mut write = || {
+            self.serial.rewind()?;
             // A number never has fewer digits than the one before it.
-            let mut file = File::options().write(true).open(&path)?;
-            file.write_all(format!("{next}\n").as_bytes())
+            self.serial.write_all(format!("{next}\n").as_bytes())
         };
         write().map_err(failed("write", &path))?;
         Ok(next)

@@ -105,5 +105,6 @@ pub use relay::RelayCounts;
 pub use router::RouterLink;
 pub use runtime::{RUNTIME_VARIABLE, runtime, runtime_fault};
 pub use session::{ConnectSettings, ListenSettings};
+pub use told::RareLine;
 #[cfg(any(test, feature = "fakes"))]
 pub use wire::fake_hello;

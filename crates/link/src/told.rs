@@ -9,18 +9,31 @@ use tracing::{debug, warn};
 
 use crate::lock::lock;
 
-/// Shortest pause between two lines about one kind of message and one cause.
+/// Shortest pause between two such lines about the same.
 const LINE_EVERY: Duration = Duration::from_mins(1);
 
 /// When lines were written, and how many messages were refused since.
 #[derive(Debug, Default)]
-pub(crate) struct ToldRefusals(Mutex<BTreeMap<(&'static str, RefusalCause), ToldLine>>);
+pub(crate) struct ToldRefusals(Mutex<BTreeMap<(&'static str, RefusalCause), RareLine>>);
 
-/// The last line about one kind of message and one cause.
-#[derive(Debug)]
-struct ToldLine {
-    at: Instant,
-    n_since: u64,
+/// A line of the log that others can cause as often as they like: when it was written last, and how often there was reason for it
+/// since.
+#[derive(Debug, Default)]
+pub struct RareLine {
+    at: Option<Instant>,
+    n: u64,
+}
+
+impl RareLine {
+    /// Counts one more, and returns how many there were if it is time for a line: once a minute.
+    pub fn next(&mut self, now: Instant) -> Option<u64> {
+        self.n += 1;
+        if self.at.is_some_and(|at| now.saturating_duration_since(at) < LINE_EVERY) {
+            return None;
+        }
+        self.at = Some(now);
+        Some(std::mem::take(&mut self.n))
+    }
 }
 
 impl ToldRefusals {
@@ -34,23 +47,21 @@ impl ToldRefusals {
 
     /// Counts one more, and returns how many there were if it is time for a line.
     fn count(&self, kind: &'static str, cause: RefusalCause, now: Instant) -> Option<u64> {
-        let mut told = lock(&self.0);
-        let Some(line) = told.get_mut(&(kind, cause)) else {
-            told.insert((kind, cause), ToldLine { at: now, n_since: 0 });
-            return Some(1);
-        };
-        line.n_since += 1;
-        if now.saturating_duration_since(line.at) < LINE_EVERY {
-            return None;
-        }
-        line.at = now;
-        Some(std::mem::take(&mut line.n_since))
+        lock(&self.0).entry((kind, cause)).or_default().next(now)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_is_written_once_a_minute_with_its_number() {
+        let mut counted = RareLine::default();
+        let start = Instant::now();
+        let at = |seconds| start + Duration::from_secs(seconds);
+        assert_eq!([0, 1, 59, 60].map(|s| counted.next(at(s))), [Some(1), None, None, Some(3)]);
+    }
 
     #[test]
     fn a_thousand_refused_messages_are_two_lines_in_the_minute_and_another_cause_has_its_own() {

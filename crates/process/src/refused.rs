@@ -8,8 +8,9 @@ use std::fmt::{self, Write as _};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::sync::{Mutex, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
+use leadtime_link::RareLine;
 use tracing::field::{Field, Visit};
 use tracing::{Event, Metadata, Subscriber};
 use tracing_subscriber::Layer;
@@ -19,8 +20,6 @@ use tracing_subscriber::registry::LookupSpan;
 
 /// Whose warnings these are.
 const LIBRARY: &str = "zenoh_link";
-/// Pause between two lines of one cause.
-const EVERY: Duration = Duration::from_mins(1);
 /// The most refusals that wait to be logged; more than that are not logged.
 const MAX_WAITING: usize = 64;
 
@@ -113,7 +112,7 @@ fn start() -> Option<SyncSender<DoorCause>> {
 }
 
 fn tell(causes: &Receiver<DoorCause>) {
-    let mut told: BTreeMap<DoorCause, Counted> = BTreeMap::new();
+    let mut told: BTreeMap<DoorCause, RareLine> = BTreeMap::new();
     for cause in causes {
         let counted = told.entry(cause).or_default();
         if let Some(n) = counted.next(Instant::now()) {
@@ -128,25 +127,6 @@ fn tell(causes: &Receiver<DoorCause>) {
                 cause => tracing::warn!("a peer is refused: {}{others}", cause.sentence()),
             }
         }
-    }
-}
-
-/// When a cause was last logged, and how often it has occurred since.
-#[derive(Debug, Default)]
-struct Counted {
-    last: Option<Instant>,
-    n: u64,
-}
-
-impl Counted {
-    /// Counts one more, and returns how many there were if it is time for a line.
-    fn next(&mut self, now: Instant) -> Option<u64> {
-        self.n += 1;
-        if self.last.is_some_and(|last| now.duration_since(last) < EVERY) {
-            return None;
-        }
-        self.last = Some(now);
-        Some(std::mem::take(&mut self.n))
     }
 }
 
@@ -186,13 +166,5 @@ mod tests {
         ] {
             assert_eq!(DoorCause::of(&format!("{words}. {hint}")), cause, "{words}");
         }
-    }
-
-    #[test]
-    fn a_cause_is_told_once_a_minute_with_its_number() {
-        let mut counted = Counted::default();
-        let start = Instant::now();
-        let at = |seconds| start + Duration::from_secs(seconds);
-        assert_eq!([0, 1, 59, 60].map(|s| counted.next(at(s))), [Some(1), None, None, Some(3)]);
     }
 }

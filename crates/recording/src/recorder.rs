@@ -250,6 +250,8 @@ mod tests {
     use super::*;
 
     const SECOND: u64 = ASK_EVERY;
+    /// What the notifier says of a session.
+    const ANSWER: &[u8] = br#"{"session":"s","start":"a"}"#;
 
     fn recorder() -> LiveRecorder<Vec<u8>> {
         let writer = RecordingWriter::new(Vec::new(), "a test").unwrap();
@@ -278,8 +280,7 @@ mod tests {
         let second = recorder.next_to_ask(201, 64, &BTreeSet::new());
         assert_eq!((second.len(), second.last()), (37, Some(&real)));
         assert!(recorder.next_to_ask(202, 64, &BTreeSet::new()).is_empty());
-        let answer = br#"{"session":"s","start":"a"}"#;
-        recorder.note(300, &real, answer).unwrap();
+        recorder.note(300, &real, ANSWER).unwrap();
         assert_eq!(recorder.counts(), (102, 1));
         let again = recorder.next_to_ask(300 + SECOND, 1_000, &BTreeSet::new());
         assert_eq!(again, (0..100).map(name).collect::<Vec<_>>());
@@ -293,7 +294,7 @@ mod tests {
         let n = MAX_CLIENTS + 100;
         for i in 0..n {
             status(&mut recorder, i as u64, &name(i));
-            // Whoever is asked for in vain makes room.
+            // One that was asked for in vain makes room.
             if i % 64 == 63 {
                 recorder.next_to_ask(i as u64, 64, &BTreeSet::new());
             }
@@ -305,7 +306,7 @@ mod tests {
         status(&mut recorder, SECOND, &real);
         let (before, _) = recorder.counts();
         assert!(recorder.next_to_ask(2 * SECOND, n, &BTreeSet::new()).contains(&real));
-        recorder.note(2 * SECOND, &real, br#"{"session":"s","start":"a"}"#).unwrap();
+        recorder.note(2 * SECOND, &real, ANSWER).unwrap();
         status(&mut recorder, 2 * SECOND, &real);
         assert_eq!(recorder.counts(), (before + 2, 1));
     }
@@ -316,7 +317,7 @@ mod tests {
         let n = MAX_UNKNOWN + 76;
         for i in 0..n {
             status(&mut recorder, i as u64, &name(i));
-            recorder.note(i as u64, &name(i), br#"{"session":"s","start":"a"}"#).unwrap();
+            recorder.note(i as u64, &name(i), ANSWER).unwrap();
         }
         let (before, n_sessions) = recorder.counts();
         assert_eq!((n_sessions, recorder.n_unknown), (n, 0));

@@ -153,14 +153,14 @@ impl RunDir {
             if trained.n_updates > 0 {
                 let before = read_config(&path)?;
                 let state = compare(&record, &before, &config.table, name, allowed)?;
+                let changes = difference(&before, &config.table);
                 if state == RunState::Finished {
-                    refuse_late_change(config, name, &record, &before, allowed)?;
+                    refuse_late_change(config, name, &record, &changes, allowed)?;
                 }
                 // A learner writes them again from the last checkpoint. The result stays until then.
                 let is_restored = state == RunState::Finished && trained.has_lost_policies(&path);
                 let is_opened = state == RunState::Unfinished || is_restored;
                 fork.map_or(Ok(()), |fork| same_origin(name, record.origin.as_ref(), fork))?;
-                let changes = difference(&before, &config.table);
                 let grown = changes.iter().find(|change| change.key == TOTAL_STEPS).cloned();
                 if is_opened {
                     trained.check(&path, name, &before)?;
@@ -247,12 +247,11 @@ fn refuse_late_change(
     config: &Config,
     name: &RunName,
     record: &RunRecord,
-    before: &Table,
+    changes: &[Change],
     allowed: &[String],
 ) -> Result<(), RunDirError> {
-    let mut changes = difference(before, &config.table);
-    changes.retain(|change| allowed.contains(&change.key));
-    let Some(Change { key, after, .. }) = changes.first() else { return Ok(()) };
+    let late = changes.iter().find(|change| allowed.contains(&change.key));
+    let Some(Change { key, after, .. }) = late else { return Ok(()) };
     let further = match record.result.as_ref().map(|result| result.end) {
         Some(ResultCause::StopAt) => "raise `evaluation.stop_at`, or leave it out".to_owned(),
         _ => format!("add --steps above {}", config.learner.total_steps),

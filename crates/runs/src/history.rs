@@ -27,6 +27,7 @@ use leadtime_proto::Schedule;
 use leadtime_proto::limits::MAX_METRICS_BYTES;
 use serde_json::{Map, Value, json};
 
+use crate::journal::JOURNAL;
 use crate::{RunRecord, clock, regular};
 
 /// The version of the layout of the messages to observers.
@@ -103,7 +104,7 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
     let series = ThinSeries::new(n_points);
     let mut history = ThinHistory { series, ..ThinHistory::default() };
-    if let Some(file) = regular::if_there(regular::open(&directory.join("metrics.jsonl")))? {
+    if let Some(file) = regular::if_there(regular::open(&directory.join(JOURNAL)))? {
         history.read(BufReader::new(file), from)?;
     }
     Ok(history.into_json(from))
@@ -121,7 +122,7 @@ pub struct JournalTail {
 impl JournalTail {
     /// Begins at the beginning.
     pub fn new(directory: &Path) -> Self {
-        Self { path: directory.join("metrics.jsonl"), offset: 0, file: None }
+        Self { path: directory.join(JOURNAL), offset: 0, file: None }
     }
 
     /// Skips everything that is in the file now.

@@ -68,14 +68,11 @@ impl Journal {
         n_updates: u64,
         take: &mut dyn FnMut(&[u8], bool) -> io::Result<()>,
     ) -> io::Result<()> {
-        let (mut file, mut line) = (BufReader::new(regular::open(&self.path)?), Vec::new());
-        while file.read_until(b'\n', &mut line)? > 0 {
-            let parsed = serde_json::from_slice::<Value>(&line).ok();
+        lines(&self.path, |line| {
+            let parsed = serde_json::from_slice::<Value>(line).ok();
             let update = parsed.and_then(|line| line["update"].as_u64());
-            take(&line, update.is_some_and(|update| update <= n_updates))?;
-            line.clear();
-        }
-        Ok(())
+            take(line, update.is_some_and(|update| update <= n_updates))
+        })
     }
 
     /// Appends one update in a single write.
@@ -108,13 +105,20 @@ pub(crate) fn for_each_line(
     run_directory: &Path,
     mut take: impl FnMut(Map<String, Value>),
 ) -> io::Result<()> {
-    let mut file = BufReader::new(regular::open(&run_directory.join(JOURNAL))?);
-    let mut bytes = Vec::new();
-    while file.read_until(b'\n', &mut bytes)? > 0 {
-        if let Ok(line) = serde_json::from_slice(&bytes) {
+    lines(&run_directory.join(JOURNAL), |line| {
+        if let Ok(line) = serde_json::from_slice(line) {
             take(line);
         }
-        bytes.clear();
+        Ok(())
+    })
+}
+
+/// Reads a file line by line, with the end of each, however long it is.
+fn lines(path: &Path, mut take: impl FnMut(&[u8]) -> io::Result<()>) -> io::Result<()> {
+    let (mut file, mut line) = (BufReader::new(regular::open(path)?), Vec::new());
+    while file.read_until(b'\n', &mut line)? > 0 {
+        take(&line)?;
+        line.clear();
     }
     Ok(())
 }

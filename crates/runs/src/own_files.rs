@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::contents::{CHECKPOINTS, CONFIG};
 use crate::evaluation_record::LAST_EVALUATION;
 use crate::held_out::HELD_OUT;
+use crate::journal::JOURNAL;
 use crate::layout::{LOCK, SUPERVISOR_LOCK};
 use crate::policy_file::{BEST_POLICY, LAST_POLICY};
 use crate::race::{FILE as RACE, QUARTER_POLICY};
@@ -19,7 +20,7 @@ const FILES: [&str; 13] = [
     RECORD,
     LOCK,
     SUPERVISOR_LOCK,
-    "metrics.jsonl",
+    JOURNAL,
     HELD_OUT,
     LAST_EVALUATION,
     REPORT_PAGE,

@@ -20,12 +20,13 @@ use leadtime_config::identity;
 use serde::Serialize;
 
 use crate::contents::{CHECKPOINTS, checkpoints};
+use crate::journal::JOURNAL;
 use crate::layout::{LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
 use crate::record::RECORD;
 use crate::{ListedRun, RunRecord, clock, held_out, journal, policy_file, regular};
 
 /// Files whose time says when something last happened in a run.
-const SIGNS: [&str; 3] = [RECORD, "metrics.jsonl", "eval.json"];
+const SIGNS: [&str; 3] = [RECORD, JOURNAL, "eval.json"];
 
 /// Which runs may go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

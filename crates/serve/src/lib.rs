@@ -40,6 +40,8 @@ mod service;
 mod state_keeper;
 pub mod status;
 pub mod taken;
+#[cfg(test)]
+mod test_support;
 mod travel;
 pub mod working_policy;
 

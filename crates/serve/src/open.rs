@@ -407,9 +407,6 @@ impl<'a> SessionAnswer<'a> {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_episodes::Choice;
-    use leadtime_policy::Parameters;
-    use leadtime_proto::{PolicySpec, TaskSpec};
     use serde_json::json;
 
     use super::*;
@@ -418,13 +415,8 @@ mod tests {
     const MAX_BRIEF: usize = 2_000;
 
     fn policy(domain: &str) -> WorkingPolicy {
-        let task = TaskSpec { domain: domain.to_owned(), settings: "{}".to_owned() };
-        let env = leadtime_worlds::builtin().build(&task).unwrap();
-        let spec = PolicySpec::dense(env.spec(), &[8]);
-        let parameters = Parameters::initialize(&spec, 1).unwrap();
         let words = leadtime_taxonomy::shipped(domain).unwrap();
-        let choice = Choice::Greedy;
-        WorkingPolicy::new(domain, env.as_ref(), &spec, &parameters, choice, Some(words)).unwrap()
+        crate::test_support::policy(domain, Some(words))
     }
 
     #[test]

@@ -551,15 +551,14 @@ impl LiveService {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_episodes::Choice;
     use leadtime_link::live::LiveClientLink;
     use leadtime_link::{ConnectSettings, ListenSettings};
-    use leadtime_policy::Parameters;
-    use leadtime_proto::{PolicySpec, ServiceName, TaskSpec};
+    use leadtime_proto::ServiceName;
 
     use super::*;
     use crate::client::{ClientSettings, LiveClient};
     use crate::open::StepClock;
+    use crate::test_support::policy;
 
     /// A disk that hangs once something is to be written, until its test lets it go.
     #[derive(Debug)]
@@ -583,15 +582,6 @@ mod tests {
         fn forget(&self, _client: &ClientName) -> std::io::Result<()> {
             Ok(())
         }
-    }
-
-    fn policy() -> WorkingPolicy {
-        let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
-        let env = leadtime_worlds::builtin().build(&task).unwrap();
-        let spec = PolicySpec::dense(env.spec(), &[8]);
-        let parameters = Parameters::initialize(&spec, 1).unwrap();
-        WorkingPolicy::new("lander", env.as_ref(), &spec, &parameters, Choice::Greedy, None)
-            .unwrap()
     }
 
     fn asked(client: &str) -> ClientSettings {
@@ -626,7 +616,8 @@ mod tests {
             loudspeaker: None,
             unix: 0,
         };
-        let notifier = LiveService::new(policy(), settings, link, events, own).unwrap();
+        let notifier =
+            LiveService::new(policy("lander", None), settings, link, events, own).unwrap();
         let (stop, stopped) = flume::bounded::<()>(1);
         let runtime = tokio::runtime::Handle::current();
         let work = tokio::task::spawn_blocking(move || {

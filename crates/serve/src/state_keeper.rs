@@ -6,6 +6,7 @@
 //! ```
 
 use std::collections::BTreeMap;
+use std::convert::Infallible;
 use std::fmt;
 use std::ops::Bound;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -118,10 +119,6 @@ impl StatePlaces {
     }
 }
 
-/// No value: only the end of the thread is told.
-#[derive(Debug)]
-enum Never {}
-
 /// Keeps states in a store, on a thread of its own; once it is dropped, what waits is kept, within [`LAST_STATES`], and the thread
 /// ends.
 #[derive(Debug)]
@@ -129,7 +126,7 @@ pub(crate) struct StateKeeper {
     store: Arc<dyn StateStore>,
     places: Arc<StatePlaces>,
     /// Disconnected once the thread has ended.
-    ended: flume::Receiver<Never>,
+    ended: flume::Receiver<Infallible>,
 }
 
 impl StateKeeper {

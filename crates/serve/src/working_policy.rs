@@ -286,19 +286,12 @@ impl LiveDecider {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::TaskSpec;
     use leadtime_taxonomy::shipped;
 
     use super::*;
 
     fn policy(words: &str) -> WorkingPolicy {
-        let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
-        let env = leadtime_worlds::builtin().build(&task).unwrap();
-        let spec = PolicySpec::dense(env.spec(), &[8]);
-        let parameters = Parameters::initialize(&spec, 1).unwrap();
-        let words = Some(Taxonomy::from_toml(words).unwrap());
-        WorkingPolicy::new("lander", env.as_ref(), &spec, &parameters, Choice::Greedy, words)
-            .unwrap()
+        crate::test_support::policy("lander", Some(Taxonomy::from_toml(words).unwrap()))
     }
 
     #[test]

@@ -53,13 +53,12 @@ pub(super) async fn up(tasks: &Tasks, args: &UpArgs, options: &[OsString]) -> Re
     let guard = guard_options(&args.guard);
     let trace = args.run.trace.file.as_deref();
     let made = TraceFile::create(trace).blame(ExitCode::WrongInput)?;
-    let counted = args.run.stop_after.filter(|amount| amount.time().is_none());
     let what = Launch {
         observer: beside.is_some().then_some(&observe as &LearnerPlace),
         listen: &args.listen,
         guard: &guard,
         fork: args.run.fork.as_deref(),
-        stop_after: counted.map(|amount| amount.to_string()),
+        stop_after: args.run.stop_after.and_then(StopAfter::amount),
         stop_in: args.run.stop_after.and_then(StopAfter::time),
         changes: args.run.change.iter().map(ToString::to_string).collect(),
         metrics_to: args.run.metrics_to.as_deref(),
