@@ -55,22 +55,25 @@ def normal(line):
 
 
 def commands(page):
-    """Lists the commands of a page with what they are shown to print, if they are."""
+    """Lists the commands of a page with what they are shown to print, if they are, and why they are not to be run, if so."""
     text = re.sub(r"<!-- begin .*?<!-- end -->", "", page.read_text(), flags=re.S)
-    text = re.sub(r"<!-- not run: .*? -->\s*```.*?```", "", text, flags=re.S)
-    found = {}
-    for block in re.findall(r"```(?:console|bash)\n(.*?)```", text, flags=re.S):
+    found, kept = {}, {}
+    for why, block in re.findall(r"(?:<!-- not run: ([^>]*) -->\s*)?```(?:console|bash)\n(.*?)```", text, flags=re.S):
         block = block.replace("\\\n", " ")
-        if "$ " in block:
+        if why:
+            kept.update((normal(line), why) for line in block.splitlines())
+        elif "$ " in block:
             for part in re.split(r"^\$ ", block, flags=re.M)[1:]:
                 line, _, output = part.partition("\n")
                 found[normal(line)] = output.strip("\n")
         else:
-            found.update((normal(line), None) for line in block.splitlines())
+            for line in block.splitlines():
+                found.setdefault(normal(line), None)
     for code in re.findall(r"`([^`\n]+)`", re.sub(r"```.*?```", "", text, flags=re.S)):
         found.setdefault(normal(code) if code.startswith(("leadtime", "cargo", "python3")) else None, None)
-    found.pop(None, None)
-    return found
+    pairs = {line: (output, None) for line, output in found.items()} | {line: (None, why) for line, why in kept.items() if line not in found}
+    pairs.pop(None, None)
+    return pairs
 
 
 def shortened(line):
@@ -200,20 +203,21 @@ def main():
         prepare(scratch)
         for page in [*PAGES, *RECORDS]:
             write_examples(page, scratch)
-            for line, output in commands(page).items():
+            for line, (output, reason) in commands(page).items():
                 place = f"{page.relative_to(ROOT)}: {line}"
-                reason = next((why for what, why in SKIPPED.items() if what in line), None)
+                reason = reason or next((why for what, why in SKIPPED.items() if what in line), None)
                 if re.match(r"leadtime (actor|learner)\b", line):
                     reason = reason or "run as a pair"
                 if re.match(r"leadtime (serve|drive|record|replay .*--connect)\b", line) and "--describe" not in line:
                     reason = reason or "run as a pair by the tests"
                 if reason:
                     skipped.append(f"{place} ({reason})")
-                    continue
+                    if not line.startswith("leadtime") or re.search(r"[<$|]", line):
+                        continue
                 if page in RECORDS and not line.startswith("leadtime"):
                     continue
                 is_mention = re.fullmatch(r"leadtime \w+", line) and not re.search(r"smoke|runs|config|compare|check", line)
-                is_run = page not in RECORDS and not is_mention
+                is_run = page not in RECORDS and not is_mention and not reason
                 n_run, n_options = n_run + is_run, n_options + (not is_run)
                 wrong = check(line, output, is_run, scratch)
                 failures += [f"{place}\n    {wrong}"] if wrong else []

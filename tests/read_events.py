@@ -1,4 +1,4 @@
-"""Reads a run's event files with TensorBoard's own reader and compares them with metrics.jsonl and eval.json.
+"""Reads a run's event files with TensorBoard's own reader and compares them with metrics.jsonl, held_out.jsonl and eval.json.
 
     pip install tensorboard && python3 tests/read_events.py runs/NAME
 """
@@ -14,7 +14,7 @@ from tensorboard.plugins.hparams import plugin_data_pb2
 def main(run: pathlib.Path) -> int:
     events = EventAccumulator(str(run / "tensorboard"), size_guidance={"scalars": 0})
     events.Reload()
-    lines = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    lines = [json.loads(line) for journal in ("metrics.jsonl", "held_out.jsonl") for line in (run / journal).read_text().splitlines()]
     everything = events.Tags()["scalars"]
     tags = [tag for tag in everything if not tag.startswith("eval/")]
     n_compared = 0
