@@ -32,7 +32,7 @@ use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, Credit, Hello, Welcome,
 };
 use leadtime_proto::phrase::duration;
-use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion};
+use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion, Sequence};
 use tracing::{debug, info, warn};
 
 use crate::outbox::{EncodedRollout, Outbox};
@@ -174,6 +174,8 @@ struct Greeting {
     /// The newest presence event of a learner since the hello: which start, and whether it is present. What came
     /// before the hello is out of date.
     presence: Option<(Incarnation, bool)>,
+    /// The highest sequence that the last hello names: a new learner takes what comes after it for its own.
+    published: Sequence,
     /// When to say it again; `None` while one is under way.
     retry_at: Option<Instant>,
 }
@@ -524,6 +526,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
                 pause: BACK_OFF.0,
                 timeout: HELLO_TIMEOUT.0,
                 presence: None,
+                published: self.outbox.made,
                 retry_at: Some(now),
             });
         }
@@ -584,7 +587,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
 
     /// Continues with the learner that sent the welcome, which may be a new one.
     fn welcomed(&mut self, now: Instant, welcome: Welcome) {
-        let presence = self.greeting.take().and_then(|greeting| greeting.presence);
+        let answered = self.greeting.take().map(|it| (it.presence, it.published));
+        let (presence, published) = answered.unwrap_or((None, self.outbox.made));
         if self.welcome.spec != welcome.spec {
             return self.end(Err(Error::RunChanged(welcome.run)));
         }
@@ -604,6 +608,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             self.unrestored.clear();
             self.orders.clear();
             self.adoptions.clear();
+            // Made for the learner before, while this one read the hello: it would take them for its own, and refuse them.
+            self.outbox.forget_after(published);
             self.weights = WeightCache::new(welcome.spec.schedule, &welcome.weights);
         }
         self.welcome = welcome;
@@ -638,6 +644,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             if greeting.retry_at.is_some_and(|at| at <= now) {
                 greeting.retry_at = None;
                 let hello = compose_hello(&self.settings, &self.outbox);
+                greeting.published = hello.published;
                 let timeout = Self::jittered(&mut self.jitter, greeting.timeout);
                 self.outputs.push(ActorOutput::Hello { hello, timeout });
             }
