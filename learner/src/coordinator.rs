@@ -248,15 +248,18 @@ impl Coordinator {
     }
 
     /// Gives a member its environments again if it has delivered nothing for [`IDLE_TICKS`]: it has dropped them, or somebody else
-    /// has ordered it to.
+    /// has ordered it to. As seldom as that, too: a hello is small, and the snapshots of all its environments are not.
     fn give_again_if_quiet(&mut self, key: &SenderKey) {
-        let n_quiet_ticks = self.roster.sender(key).map_or(0, |sender| sender.newest().1);
-        if n_quiet_ticks >= IDLE_TICKS
+        let n_idle_ticks = self.roster.sender(key).map_or(0, |sender| sender.n_idle_ticks);
+        if n_idle_ticks >= IDLE_TICKS
             && self.stage == RunStage::Running
             && !self.stragglers.is_restoring(&key.0)
             && let Some(change) = self.assigner.renew(&key.0)
         {
             self.assign(change);
+            if let Some(sender) = self.roster.sender(key) {
+                sender.n_idle_ticks = 0;
+            }
         }
     }
 

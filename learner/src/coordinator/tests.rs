@@ -889,4 +889,16 @@ fn a_member_that_lost_its_environments_gets_them_again_when_it_asks() {
     c.hello(&hello("a", 1, 2)).unwrap();
     let (_, again) = assignments(&mut c).remove(0);
     assert_eq!((again.epoch, again.envs[0].iteration), (Epoch(2), Iteration(1)));
+    let key = (actor("a"), Incarnation(1));
+    let membership = c.roster.membership(&key).unwrap();
+    for n_ticks in [0, IDLE_TICKS - 1] {
+        (0..n_ticks).for_each(|_| c.tick());
+        c.followed(&key, membership, again.epoch);
+        c.hello(&hello("a", 1, 2)).unwrap();
+        assert!(assignments(&mut c).is_empty(), "a moment ago, whatever it says it has done since");
+    }
+    assert!(c.roster_entries()[0].silent_s > IDLE_TICKS as f64 * TICK.as_secs_f64());
+    c.tick();
+    c.hello(&hello("a", 1, 2)).unwrap();
+    assert_eq!(assignments(&mut c).len(), 1);
 }
