@@ -47,7 +47,7 @@ const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an actor without environments waits before it says hello again.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
-/// members twice a second, so an actor without credit is not a member.
+/// members twice a second, so an actor without credit is not a member. One that is at work does not ask.
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
 /// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 160 a second.
 pub(crate) const MAX_PULLS: usize = 16;
@@ -504,7 +504,12 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         if self.outbox.is_waiting() && silence > ACK_TIMEOUT {
             warn!(run = %self.welcome.run, "the learner does not acknowledge; asking again");
             self.greet(now);
-        } else if now.saturating_duration_since(self.last_credit) > self.credit_timeout {
+        } else if self.job.is_none()
+            && now.saturating_duration_since(self.last_credit) > self.credit_timeout
+        {
+            // Not while a rollout is made: the learner would take this actor for one that has lost its environments, and give them
+            // anew. Whether it still counts on this actor shows when the rollout is sent.
+            //
             // It may have given this actor up, over an order that was answered too late, without this actor's notice.
             // Less and less often, because one that is there and does not credit is not helped by hellos.
             debug!("no credit; asking whether this actor still belongs to the run");

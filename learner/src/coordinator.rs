@@ -215,7 +215,9 @@ impl Coordinator {
         if let Some(sender) = self.roster.sender(&key) {
             sender.limit = sender.limit.max(Sequence(heard.0 + window));
         }
-        if was_member && hello.first_unacknowledged == hello.published.next() {
+        // A copy of an older hello is behind what has been heard since.
+        let has_nothing_on_its_way = hello.first_unacknowledged == hello.published.next();
+        if was_member && has_nothing_on_its_way && hello.published == heard {
             self.give_again_if_quiet(&key);
         }
         Ok(heard.next())

@@ -202,6 +202,18 @@ fn an_actor_without_credit_asks_again_less_and_less_often() {
 }
 
 #[test]
+fn an_actor_at_work_does_not_ask_for_credit() {
+    let mut bench = Bench::with_weights(0..=0);
+    assert_eq!(names(&bench.follow(1, 1, 0)), ["collect"]);
+    for _ in 0..60 {
+        assert_eq!(names(&bench.wait(Duration::from_secs(1))), [""; 0]);
+    }
+    assert_eq!(names(&bench.collected(2, Some(1))), ["publish"]);
+    // Nobody acknowledges it: the learner does not count on this actor any more.
+    assert_eq!(names(&bench.wait(ACK_TIMEOUT + Duration::from_millis(1))), ["hello"]);
+}
+
+#[test]
 fn environments_that_went_on_elsewhere_are_let_go_and_others_asked_for() {
     let mut bench = Bench::with_weights(5..=40);
     // The order was followed too late: the learner has given this actor up, and its weights are gone.

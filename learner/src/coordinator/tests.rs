@@ -886,6 +886,8 @@ fn a_member_that_lost_its_environments_gets_them_again_when_it_asks() {
     c.tick();
     c.hello(&hello("a", 2, 2)).unwrap();
     assert!(assignments(&mut c).is_empty(), "something of it is on its way");
+    c.hello(&hello("a", 0, 1)).unwrap();
+    assert!(assignments(&mut c).is_empty(), "somebody kept this one");
     c.hello(&hello("a", 1, 2)).unwrap();
     let (_, again) = assignments(&mut c).remove(0);
     assert_eq!((again.epoch, again.envs[0].iteration), (Epoch(2), Iteration(1)));
