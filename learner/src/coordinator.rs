@@ -889,8 +889,9 @@ impl Coordinator {
     fn rebalance(&mut self) {
         self.rebalance_due = false;
         let (roster, stragglers) = (&self.roster, &self.stragglers);
-        let limit = |actor: &ActorId| max_envs(roster, stragglers, actor);
-        let changes = self.assigner.rebalance(self.roster.members(), limit);
+        let limit = |actor: &ActorId| stragglers.max_envs(actor);
+        // Nobody else, even if all of these may have none at present: behind a name that answers no order there may be nobody.
+        let changes = self.assigner.rebalance(&roster.answering(), limit);
         self.assign_all(changes);
     }
 

@@ -246,7 +246,13 @@ impl Roster {
         key.and_then(|key| self.senders.get(&key)).is_some_and(SenderState::has_answered)
     }
 
-    /// Counts the members that have.
+    /// Returns the members that have, with their present starts.
+    pub(crate) fn answering(&self) -> BTreeMap<ActorId, Incarnation> {
+        let answering = self.members.iter().filter(|(actor, _)| self.has_answered(actor));
+        answering.map(|(actor, &start)| (actor.clone(), start)).collect()
+    }
+
+    /// Counts them.
     pub(crate) fn n_answering(&self) -> usize {
         self.n_answering
     }

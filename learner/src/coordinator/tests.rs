@@ -164,6 +164,23 @@ fn an_actor_that_answers_no_order_gets_no_environment() {
 }
 
 #[test]
+fn an_actor_that_answers_no_order_gets_none_though_nobody_else_should_have_some() {
+    let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
+    c.take_effects();
+    c.stragglers.fail(&actor("a"), 0);
+    c.hello(&hello("ghost", 0, 1)).unwrap();
+    c.joined(actor("ghost"), Incarnation(1));
+    c.rebalance();
+    assert!(assignments(&mut c).is_empty(), "it stays with the one that there is");
+    answer(&mut c, "ghost");
+    c.rebalance();
+    let told = assignments(&mut c);
+    let given: Vec<(&str, usize)> =
+        told.iter().map(|(to, it)| (to.as_str(), it.envs.len())).collect();
+    assert_eq!(given, [("a", 0), ("ghost", 2)]);
+}
+
+#[test]
 fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
     let mut c = coordinator(1, Schedule::Lag(2), &["a"]);
     c.take_effects();
