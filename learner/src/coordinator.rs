@@ -121,6 +121,12 @@ pub enum HelloRefusal {
     /// Its counts contradict each other, or what this learner knows.
     #[error("its counts of published and unacknowledged rollouts make no sense")]
     Nonsense,
+    /// It says that more of its rollouts were acknowledged before than is believed of one start.
+    #[error(
+        "it has delivered more rollouts of this run than this learner can take for lost (was the run begun anew?): \
+         restart it"
+    )]
+    TooManyLost,
     /// The run is ending: there is nothing left to do.
     #[error("the run is ending: nothing is left to do")]
     Closing,
@@ -188,7 +194,8 @@ impl Coordinator {
     ///
     /// [`HelloRefusal::Closing`] if the run is ending, [`HelloRefusal::CutOff`] if this start was cut off,
     /// [`HelloRefusal::Taken`] if another start of the name is a member, [`HelloRefusal::Nonsense`] if its counts
-    /// contradict each other or the books. The sentence is for the actor's user.
+    /// contradict each other or the books, [`HelloRefusal::TooManyLost`] if they are too far from the books. The
+    /// sentence is for the actor's user.
     pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let key = (hello.actor.clone(), hello.incarnation);
         if self.stage == RunStage::Closing {
@@ -282,11 +289,14 @@ impl Coordinator {
         if acknowledged > known {
             let is_new = self.roster.sender(key).is_none_or(|sender| !sender.was_heard());
             let stranger = known == Sequence(0);
-            let credible = is_new && acknowledged.0 - known.0 <= MAX_LOST;
+            if !is_new {
+                return Err(HelloRefusal::Nonsense);
+            }
             // Who reports a loss and answers an order stays in the books, and so in every checkpoint: the number of such reports is
             // bounded, by this and the number of senders that are known at once.
-            if !credible || (stranger && self.n_losers >= MAX_LOSERS) {
-                return Err(HelloRefusal::Nonsense);
+            let has_room = !stranger || self.n_losers < MAX_LOSERS;
+            if !has_room || acknowledged.0 - known.0 > MAX_LOST {
+                return Err(HelloRefusal::TooManyLost);
             }
         }
         Ok(acknowledged)

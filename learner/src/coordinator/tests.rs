@@ -483,8 +483,12 @@ fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credi
 fn rollouts_lost_with_a_killed_learner_are_counted_once_and_have_a_limit() {
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let (lost, kept) = (MAX_LOST + 1, MAX_UNACKNOWLEDGED + 1);
-    // Two that are too much, and three that contradict themselves.
-    for (published, first) in [(lost, lost + 1), (kept, 1), (0, 0), (1, 3), (u64::MAX, 1)] {
+    // More than a learner loses: the run was begun anew, and so has to be the actor.
+    let refused = c.hello(&hello("a", lost, lost + 1)).unwrap_err();
+    assert_eq!(refused, HelloRefusal::TooManyLost);
+    assert!(refused.to_string().ends_with(": restart it"), "{refused}");
+    // One that is too much, and three that contradict themselves.
+    for (published, first) in [(kept, 1), (0, 0), (1, 3), (u64::MAX, 1)] {
         assert_eq!(c.hello(&hello("a", published, first)), Err(HelloRefusal::Nonsense));
     }
     assert_eq!(c.books().rolled_back, 0);
@@ -527,7 +531,7 @@ fn strangers_do_not_fill_the_books() {
         assert_eq!(c.books().rolled_back, i as u64, "a hello alone is none");
         answer(&mut c, &name);
     }
-    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(HelloRefusal::Nonsense));
+    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(HelloRefusal::TooManyLost));
     assert_eq!(c.hello(&hello("honest", 0, 1)), Ok(Sequence(1)));
     assert_eq!(c.books().rolled_back, MAX_LOSERS as u64);
 }
