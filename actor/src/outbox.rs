@@ -86,6 +86,12 @@ impl Outbox {
         self.sent = self.acknowledged;
     }
 
+    /// Forgets what comes after this one and was not sent: those sequences are given out again.
+    pub(crate) fn forget_after(&mut self, published: Sequence) {
+        self.made = self.made.min(published).max(self.sent);
+        self.entries.truncate((self.made.0 - self.acknowledged.0) as usize);
+    }
+
     /// Drops what was not sent, because the actor is leaving.
     pub(crate) fn drop_unsent(&mut self) {
         self.entries.truncate((self.sent.0 - self.acknowledged.0) as usize);
@@ -151,6 +157,21 @@ mod tests {
         outbox.resume(Sequence(3), 1);
         assert_eq!(send_all(&mut outbox), [3]);
         assert_eq!(outbox.acknowledged, Sequence(2));
+    }
+
+    #[test]
+    fn rollouts_that_no_hello_named_are_forgotten_and_their_sequences_given_out_again() {
+        let mut outbox = outbox(4, 2);
+        send_all(&mut outbox);
+        outbox.credit(Sequence(1), Sequence(2));
+        outbox.forget_after(Sequence(9));
+        assert_eq!((outbox.entries.len(), outbox.made), (3, Sequence(4)));
+        outbox.forget_after(Sequence(3));
+        assert_eq!((outbox.entries.len(), outbox.made), (2, Sequence(3)));
+        outbox.resume(Sequence(2), 9);
+        assert_eq!(send_all(&mut outbox), [2, 3]);
+        outbox.forget_after(Sequence(1));
+        assert_eq!((outbox.entries.len(), outbox.made), (2, Sequence(3)), "they were sent");
     }
 
     #[test]

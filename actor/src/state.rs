@@ -32,7 +32,7 @@ use leadtime_proto::message::{
     Announcement, Assignment, Control, ControlReply, Credit, Hello, Welcome,
 };
 use leadtime_proto::phrase::duration;
-use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion};
+use leadtime_proto::{EnvId, Epoch, Incarnation, Iteration, PolicyVersion, Sequence};
 use tracing::{debug, info, warn};
 
 use crate::outbox::{EncodedRollout, Outbox};
@@ -47,7 +47,7 @@ const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an actor without environments waits before it says hello again.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
-/// members twice a second, so an actor without credit is not a member.
+/// members twice a second, so an actor without credit is not a member. One that is at work does not ask.
 const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
 /// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 160 a second.
 pub(crate) const MAX_PULLS: usize = 16;
@@ -174,6 +174,8 @@ struct Greeting {
     /// The newest presence event of a learner since the hello: which start, and whether it is present. What came
     /// before the hello is out of date.
     presence: Option<(Incarnation, bool)>,
+    /// The highest sequence that the last hello names: a new learner takes what comes after it for its own.
+    published: Sequence,
     /// When to say it again; `None` while one is under way.
     retry_at: Option<Instant>,
 }
@@ -502,7 +504,12 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         if self.outbox.is_waiting() && silence > ACK_TIMEOUT {
             warn!(run = %self.welcome.run, "the learner does not acknowledge; asking again");
             self.greet(now);
-        } else if now.saturating_duration_since(self.last_credit) > self.credit_timeout {
+        } else if self.job.is_none()
+            && now.saturating_duration_since(self.last_credit) > self.credit_timeout
+        {
+            // Not while a rollout is made: the learner would take this actor for one that has lost its environments, and give them
+            // anew. Whether it still counts on this actor shows when the rollout is sent.
+            //
             // It may have given this actor up, over an order that was answered too late, without this actor's notice.
             // Less and less often, because one that is there and does not credit is not helped by hellos.
             debug!("no credit; asking whether this actor still belongs to the run");
@@ -524,6 +531,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
                 pause: BACK_OFF.0,
                 timeout: HELLO_TIMEOUT.0,
                 presence: None,
+                published: self.outbox.made,
                 retry_at: Some(now),
             });
         }
@@ -584,7 +592,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
 
     /// Continues with the learner that sent the welcome, which may be a new one.
     fn welcomed(&mut self, now: Instant, welcome: Welcome) {
-        let presence = self.greeting.take().and_then(|greeting| greeting.presence);
+        let answered = self.greeting.take().map(|it| (it.presence, it.published));
+        let (presence, published) = answered.unwrap_or((None, self.outbox.made));
         if self.welcome.spec != welcome.spec {
             return self.end(Err(Error::RunChanged(welcome.run)));
         }
@@ -604,6 +613,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             self.unrestored.clear();
             self.orders.clear();
             self.adoptions.clear();
+            // Made for the learner before, while this one read the hello: it would take them for its own, and refuse them.
+            self.outbox.forget_after(published);
             self.weights = WeightCache::new(welcome.spec.schedule, &welcome.weights);
         }
         self.welcome = welcome;
@@ -638,6 +649,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             if greeting.retry_at.is_some_and(|at| at <= now) {
                 greeting.retry_at = None;
                 let hello = compose_hello(&self.settings, &self.outbox);
+                greeting.published = hello.published;
                 let timeout = Self::jittered(&mut self.jitter, greeting.timeout);
                 self.outputs.push(ActorOutput::Hello { hello, timeout });
             }

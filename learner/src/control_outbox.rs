@@ -163,9 +163,10 @@ fn outcome(
             ControlOutcome::Followed(to.clone(), membership, epoch)
         }
         ControlReply::CannotRestore { epoch, envs: named } if epoch == *ordered => {
-            // Whatever it names, and however often: no more than was given comes of it.
+            // Whatever it names, and however often: no more than was given comes of it, and only of what there is to restore. Without
+            // a snapshot the same fresh episode would be given again at once, to the same answer, without end.
             let named: BTreeSet<EnvId> = named.into_iter().collect();
-            let given = given.iter().map(|env| env.env_id);
+            let given = given.iter().filter(|env| !env.snapshot.is_empty()).map(|env| env.env_id);
             let envs = given.filter(|env_id| named.contains(env_id)).collect();
             ControlOutcome::CannotRestore(to.clone(), epoch, envs)
         }
@@ -186,11 +187,9 @@ mod tests {
     fn an_answer_about_another_assignment_does_not_count_as_followed() {
         let key = (ActorId::new("a").unwrap(), Incarnation(1));
         let membership = MembershipNumber::default();
-        let order = Control::Assign(Assignment {
-            epoch: Epoch(7),
-            envs: RolloutQueue::beginning(4),
-            keep: Vec::new(),
-        });
+        let mut envs = RolloutQueue::beginning(4);
+        envs[3].snapshot = vec![1];
+        let order = Control::Assign(Assignment { epoch: Epoch(7), envs, keep: Vec::new() });
         let heard = |control: &Control, reply| outcome(&key, membership, control, reply);
         let followed = |epoch| ControlReply::Followed { epoch: Epoch(epoch) };
         let cannot =
@@ -204,9 +203,13 @@ mod tests {
         assert_eq!(heard(&order, cannot(8)), astray(8));
         let known = ControlOutcome::CannotRestore(key.clone(), Epoch(7), vec![EnvId(3)]);
         assert_eq!(heard(&order, cannot(7)), known);
-        let envs = [9, 3, 3].map(EnvId).to_vec();
-        let odd = ControlReply::CannotRestore { epoch: Epoch(7), envs };
-        assert_eq!(heard(&order, odd), known, "what was given, and once");
+        let odd = |envs: &[u32]| ControlReply::CannotRestore {
+            epoch: Epoch(7),
+            envs: envs.iter().copied().map(EnvId).collect(),
+        };
+        assert_eq!(heard(&order, odd(&[9, 3, 2, 3])), known, "what was given to restore, and once");
+        let nothing = ControlOutcome::CannotRestore(key.clone(), Epoch(7), Vec::new());
+        assert_eq!(heard(&order, odd(&[0, 2])), nothing, "they begin as everybody's do");
         let stop = Control::Stop { reason: String::new(), cut_off: false };
         assert_eq!(heard(&stop, followed(6)), answered());
         assert_eq!(heard(&Control::Wait, followed(6)), answered());

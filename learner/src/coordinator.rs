@@ -121,6 +121,12 @@ pub enum HelloRefusal {
     /// Its counts contradict each other, or what this learner knows.
     #[error("its counts of published and unacknowledged rollouts make no sense")]
     Nonsense,
+    /// It says that more of its rollouts were acknowledged before than is believed of one start.
+    #[error(
+        "it has delivered more rollouts of this run than this learner can take for lost (was the run begun anew?): \
+         restart it"
+    )]
+    TooManyLost,
     /// The run is ending: there is nothing left to do.
     #[error("the run is ending: nothing is left to do")]
     Closing,
@@ -188,7 +194,8 @@ impl Coordinator {
     ///
     /// [`HelloRefusal::Closing`] if the run is ending, [`HelloRefusal::CutOff`] if this start was cut off,
     /// [`HelloRefusal::Taken`] if another start of the name is a member, [`HelloRefusal::Nonsense`] if its counts
-    /// contradict each other or the books. The sentence is for the actor's user.
+    /// contradict each other or the books, [`HelloRefusal::TooManyLost`] if they are too far from the books. The
+    /// sentence is for the actor's user.
     pub fn hello(&mut self, hello: &Hello) -> Result<Sequence, HelloRefusal> {
         let key = (hello.actor.clone(), hello.incarnation);
         if self.stage == RunStage::Closing {
@@ -215,7 +222,9 @@ impl Coordinator {
         if let Some(sender) = self.roster.sender(&key) {
             sender.limit = sender.limit.max(Sequence(heard.0 + window));
         }
-        if was_member && hello.first_unacknowledged == hello.published.next() {
+        // A copy of an older hello is behind what has been heard since.
+        let has_nothing_on_its_way = hello.first_unacknowledged == hello.published.next();
+        if was_member && has_nothing_on_its_way && hello.published == heard {
             self.give_again_if_quiet(&key);
         }
         Ok(heard.next())
@@ -248,15 +257,18 @@ impl Coordinator {
     }
 
     /// Gives a member its environments again if it has delivered nothing for [`IDLE_TICKS`]: it has dropped them, or somebody else
-    /// has ordered it to.
+    /// has ordered it to. As seldom as that, too: a hello is small, and the snapshots of all its environments are not.
     fn give_again_if_quiet(&mut self, key: &SenderKey) {
-        let n_quiet_ticks = self.roster.sender(key).map_or(0, |sender| sender.newest().1);
-        if n_quiet_ticks >= IDLE_TICKS
+        let n_idle_ticks = self.roster.sender(key).map_or(0, |sender| sender.n_idle_ticks);
+        if n_idle_ticks >= IDLE_TICKS
             && self.stage == RunStage::Running
             && !self.stragglers.is_restoring(&key.0)
             && let Some(change) = self.assigner.renew(&key.0)
         {
             self.assign(change);
+            if let Some(sender) = self.roster.sender(key) {
+                sender.n_idle_ticks = 0;
+            }
         }
     }
 
@@ -277,11 +289,14 @@ impl Coordinator {
         if acknowledged > known {
             let is_new = self.roster.sender(key).is_none_or(|sender| !sender.was_heard());
             let stranger = known == Sequence(0);
-            let credible = is_new && acknowledged.0 - known.0 <= MAX_LOST;
+            if !is_new {
+                return Err(HelloRefusal::Nonsense);
+            }
             // Who reports a loss and answers an order stays in the books, and so in every checkpoint: the number of such reports is
             // bounded, by this and the number of senders that are known at once.
-            if !credible || (stranger && self.n_losers >= MAX_LOSERS) {
-                return Err(HelloRefusal::Nonsense);
+            let has_room = !stranger || self.n_losers < MAX_LOSERS;
+            if !has_room || acknowledged.0 - known.0 > MAX_LOST {
+                return Err(HelloRefusal::TooManyLost);
             }
         }
         Ok(acknowledged)
@@ -884,8 +899,9 @@ impl Coordinator {
     fn rebalance(&mut self) {
         self.rebalance_due = false;
         let (roster, stragglers) = (&self.roster, &self.stragglers);
-        let limit = |actor: &ActorId| max_envs(roster, stragglers, actor);
-        let changes = self.assigner.rebalance(self.roster.members(), limit);
+        let limit = |actor: &ActorId| stragglers.max_envs(actor);
+        // Nobody else, even if all of these may have none at present: behind a name that answers no order there may be nobody.
+        let changes = self.assigner.rebalance(&roster.answering(), limit);
         self.assign_all(changes);
     }
 

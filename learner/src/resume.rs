@@ -111,6 +111,9 @@ impl ResumePoint {
         let (epoch, places, mut books) = (state.epoch, state.places, state.books);
         if version.0 < config.settings.n_updates() {
             books.resume(state.waiting, config.settings.n_steps as u64);
+        } else {
+            // The checkpoint of the last update is older than the end if the run was killed in between.
+            books.unused_at_end = state.waiting;
         }
         self.start = CoordinatorStart { places, epoch, version, books, builds: state.builds };
         let older = state.older.into_iter();
@@ -122,5 +125,83 @@ impl ResumePoint {
             .chain([RunEvent::Resumed { path, n_updates: version.0 }])
             .collect();
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::PathBuf;
+    use std::time::Duration;
+
+    use leadtime_link::{ListenSettings, StartKey};
+    use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
+    use leadtime_ppo::{LearnerSettings, Mode};
+    use leadtime_proto::{
+        ActorId, EnvId, Incarnation, Iteration, Rollout, RunName, Sequence, fakes,
+    };
+
+    use super::*;
+    use crate::Build;
+
+    /// A run of one update with a lag.
+    fn config() -> LearnerConfig {
+        let settings = LearnerSettings {
+            n_envs: 2,
+            n_steps: 1,
+            n_minibatches: 1,
+            total_steps: 2,
+            mode: Mode::Lag,
+            ..LearnerSettings::default()
+        };
+        LearnerConfig {
+            run: RunName::new("test").unwrap(),
+            start: StartKey::draw().unwrap(),
+            spec: fakes::run_spec("test", 1, settings.schedule()),
+            settings,
+            window: 4,
+            actors_min: 1,
+            listen: ListenSettings::new(Vec::new()),
+            build: Build { program: "test".to_owned(), cpu: "cpu".to_owned() },
+            checkpoints: PathBuf::new(),
+            checkpoint_interval: CheckpointInterval { updates: 1, time: Duration::from_mins(1) },
+            retention: Retention::default(),
+            checkpoint_patience: Duration::from_mins(1),
+            initial: None,
+            identity: [0; 32],
+            earlier: Vec::new(),
+        }
+    }
+
+    /// Writes what is saved right after the update, with rollouts of the next one waiting, and begins again from it.
+    #[test]
+    fn a_run_that_was_killed_between_its_last_update_and_its_end_balances() {
+        let config = config();
+        let directory = tempfile::tempdir().unwrap();
+        let mut store = CheckpointStore::open(directory.path(), config.retention).unwrap();
+        let mut trainer = begin(&config, &mut store).unwrap().trainer;
+        let rollout = |env_id| {
+            let made = fakes::rollout(EnvId(env_id), Iteration(0), PolicyVersion(0));
+            let made = Rollout { snapshot: vec![1], ..made };
+            made.check(&config.spec.env, 1, 0).unwrap()
+        };
+        trainer.update(&[rollout(0), rollout(1)]).unwrap();
+        let sender = (ActorId::new("a").unwrap(), Incarnation(1));
+        let mut books = Books { trained: 2, ..Books::default() };
+        (1..=5).for_each(|sequence| books.enter(&sender, Sequence(sequence)));
+        let checkpoint = Checkpoint {
+            identity: config.identity,
+            trainer: trainer.state().unwrap(),
+            places: RolloutQueue::beginning(2),
+            epoch: Epoch(1),
+            older: Vec::new(),
+            record: TrainingRecord::default(),
+            books,
+            waiting: 3,
+            builds: Builds::default(),
+        };
+        store.write(1, &checkpoint).unwrap();
+        let books = begin(&config, &mut store).unwrap().start.books;
+        assert_eq!(books.check(), Ok(()));
+        assert_eq!((books.unused_at_end, books.rolled_back), (3, 0));
     }
 }

@@ -42,6 +42,8 @@ pub(crate) struct SenderState {
     pub(crate) ordered: Epoch,
     /// How often it followed another one since its last rollout that counted.
     pub(crate) n_astray: u32,
+    /// Ticks since then, since it became a member, or since it was given its environments again because it asked.
+    pub(crate) n_idle_ticks: u64,
     /// It has said hello since it was last lost.
     has_greeted: bool,
     /// Its newest membership.
@@ -83,7 +85,7 @@ impl SenderState {
     /// Notes a rollout that counts.
     pub(crate) fn delivered(&mut self, iteration: Iteration, staleness: u64) {
         self.newest = Some((iteration, staleness));
-        (self.n_quiet_ticks, self.n_astray) = (0, 0);
+        (self.n_quiet_ticks, self.n_idle_ticks, self.n_astray) = (0, 0, 0);
     }
 
     /// Returns whether it has answered an order of its newest membership.
@@ -189,7 +191,8 @@ impl Roster {
         let is_free = !self.members.contains_key(&key.0) && self.present.contains(key);
         (is_welcome && is_free).then(|| {
             self.n_memberships += 1;
-            (sender.membership, sender.n_quiet_ticks) = (MembershipNumber(self.n_memberships), 0);
+            sender.membership = MembershipNumber(self.n_memberships);
+            (sender.n_quiet_ticks, sender.n_idle_ticks) = (0, 0);
             self.members.insert(key.0.clone(), key.1);
             sender.build.clone()
         })
@@ -243,7 +246,13 @@ impl Roster {
         key.and_then(|key| self.senders.get(&key)).is_some_and(SenderState::has_answered)
     }
 
-    /// Counts the members that have.
+    /// Returns the members that have, with their present starts.
+    pub(crate) fn answering(&self) -> BTreeMap<ActorId, Incarnation> {
+        let answering = self.members.iter().filter(|(actor, _)| self.has_answered(actor));
+        answering.map(|(actor, &start)| (actor.clone(), start)).collect()
+    }
+
+    /// Counts them.
     pub(crate) fn n_answering(&self) -> usize {
         self.n_answering
     }
@@ -253,6 +262,7 @@ impl Roster {
         for (actor, &incarnation) in &self.members {
             if let Some(sender) = self.senders.get_mut(&(actor.clone(), incarnation)) {
                 sender.n_quiet_ticks += 1;
+                sender.n_idle_ticks += 1;
             }
         }
     }

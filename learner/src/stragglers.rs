@@ -6,7 +6,8 @@
 //! bit of the run, so a wrong guess here costs time and nothing else.
 //!
 //! Restoring takes time, with environments in Python several seconds each. As long as a member has not answered the order with
-//! the snapshots, it is not late, up to [`RESTORE_TICKS`].
+//! the snapshots, it is not late, up to [`RESTORE_TICKS`], which count from one rollout that it delivers to the next: whoever answers
+//! and has the same environments given again, delivers nothing and would hold up the run for ever.
 //!
 //! # Invariants
 //!
@@ -23,7 +24,7 @@ const REPORT_AFTER: u32 = 6;
 const REPORT_EVERY: u32 = 60;
 /// Ticks that a member may be behind the others before it loses its environments.
 const TAKE_AFTER: u32 = 12;
-/// Ticks that a member may take to restore a snapshot, and at most to restore all that it is given at once.
+/// Ticks that a member may take to restore a snapshot, and at most to restore all that it is given before it delivers something.
 const RESTORE_TICKS: (u32, u32) = (16, 240);
 /// How many times as long as the others a member may take, where that is more.
 const PATIENCE: u32 = 3;
@@ -60,7 +61,7 @@ struct Wait {
     /// Those of them in which another member had done its part.
     n_late: u32,
     n_late_in_window: u32,
-    /// Those in which it would have been late if it had not been restoring.
+    /// Those in which it would have been late if it had not been restoring, as long as it has environments.
     n_excused: u32,
     has_delivered: bool,
     restoring: Option<Restoring>,
@@ -122,7 +123,9 @@ impl Stragglers {
             let wait = self.waits.entry(actor.clone()).or_default();
             // Another number means other work, so patience begins anew.
             if wait.n_held != n_held {
-                *wait = Wait { n_held, restoring: wait.restoring, ..Wait::default() };
+                // Not the time to restore, which it would have again for every one that it is given.
+                let n_excused = if n_held > 0 { wait.n_excused } else { 0 };
+                *wait = Wait { n_held, n_excused, restoring: wait.restoring, ..Wait::default() };
             }
         }
         self.start_window();
@@ -135,7 +138,7 @@ impl Stragglers {
         // What it was given before comes first.
         let before = wait.restoring.map_or(0, |restoring| restoring.ticks_left);
         let ticks_left = n_snapshots.saturating_mul(RESTORE_TICKS.0).saturating_add(before);
-        let ticks_left = ticks_left.min(RESTORE_TICKS.1);
+        let ticks_left = ticks_left.min(RESTORE_TICKS.1.saturating_sub(wait.n_excused));
         wait.restoring = Some(Restoring { epoch, ticks_left });
     }
 
@@ -386,6 +389,46 @@ mod tests {
         assert!((0..1_000).all(|_| s.tick(&BTreeMap::new()).is_empty()));
         s.restored(&id("slow"), Epoch(3));
         assert_eq!(s.tick(&BTreeMap::new()), [Lateness::Trusted]);
+    }
+
+    #[test]
+    fn a_member_that_answers_and_delivers_nothing_has_its_time_to_restore_once() {
+        let lacking = counts(&[("slow", 4)]);
+        let most = RESTORE_TICKS.1 + TAKE_AFTER + 1;
+        let again = |s: &mut Stragglers, epoch: u32| {
+            s.restored(&id("slow"), Epoch(u64::from(epoch)));
+            s.restores(&id("slow"), Epoch(u64::from(epoch) + 1), 20);
+        };
+        let mut s = stragglers(&[("a", 4), ("slow", 4)]);
+        again(&mut s, 0);
+        let found = ticks(&mut s, 1_000, |tick, s| {
+            if tick.is_multiple_of(200) {
+                again(s, tick);
+            }
+            lacking.clone()
+        });
+        assert_eq!(found, Some((most, id("slow"))));
+        // Nor do more environments bring more of it, until it has delivered something.
+        let mut s = stragglers(&[("a", 4), ("slow", 4)]);
+        again(&mut s, 0);
+        let found = ticks(&mut s, 1_000, |tick, s| {
+            if tick == 200 {
+                s.assigned(&counts(&[("a", 3), ("slow", 5)]));
+                again(s, tick);
+            }
+            lacking.clone()
+        });
+        assert_eq!(found, Some((most, id("slow"))));
+        s.assigned(&counts(&[("a", 8), ("slow", 0)]));
+        s.assigned(&counts(&[("a", 4), ("slow", 4)]));
+        let mut delivered = stragglers(&[("a", 4), ("slow", 4)]);
+        again(&mut delivered, 0);
+        assert_eq!(ticks(&mut delivered, 200, |_, _| lacking.clone()), None);
+        delivered.delivered(&id("slow"));
+        for mut s in [s, delivered] {
+            again(&mut s, 200);
+            assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
+        }
     }
 
     #[test]

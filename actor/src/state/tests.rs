@@ -4,7 +4,7 @@ use bytes::Bytes;
 use leadtime_link::{ConnectSettings, StartKey};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{ActorId, Header, RunName, Schedule, Sequence, fakes};
+use leadtime_proto::{ActorId, Header, RunName, Schedule, fakes};
 
 use super::*;
 
@@ -202,6 +202,18 @@ fn an_actor_without_credit_asks_again_less_and_less_often() {
 }
 
 #[test]
+fn an_actor_at_work_does_not_ask_for_credit() {
+    let mut bench = Bench::with_weights(0..=0);
+    assert_eq!(names(&bench.follow(1, 1, 0)), ["collect"]);
+    for _ in 0..60 {
+        assert_eq!(names(&bench.wait(Duration::from_secs(1))), [""; 0]);
+    }
+    assert_eq!(names(&bench.collected(2, Some(1))), ["publish"]);
+    // Nobody acknowledges it: the learner does not count on this actor any more.
+    assert_eq!(names(&bench.wait(ACK_TIMEOUT + Duration::from_millis(1))), ["hello"]);
+}
+
+#[test]
 fn environments_that_went_on_elsewhere_are_let_go_and_others_asked_for() {
     let mut bench = Bench::with_weights(5..=40);
     // The order was followed too late: the learner has given this actor up, and its weights are gone.
@@ -233,6 +245,42 @@ fn a_new_learner_starts_everything_over() {
     bench.collected(1, Some(1));
     assert_eq!(bench.actor.outbox.made, Sequence(0), "made for the learner before");
     assert_eq!(names(&bench.assign(3, 1, &[0])), ["restore"], "its epochs count anew");
+}
+
+#[test]
+fn what_is_made_while_a_new_learner_reads_the_hello_is_not_sent_to_it() {
+    let mut bench = Bench::with_weights(0..=0);
+    assert_eq!(names(&bench.follow(1, 5, 0)), ["collect"]);
+    let next = Incarnation(101);
+    let told = bench.give(ActorInput::LearnerLeft(LEARNER));
+    let [ActorOutput::Hello { hello, .. }] = &told[..] else { panic!("{told:?}") };
+    let published = hello.published;
+    assert!(bench.collected(2, Some(1)).is_empty(), "the job ends while the learner is looked for");
+    assert!(!names(&bench.welcomed(next)).contains(&"publish"));
+    assert_eq!(bench.actor.outbox.made, published);
+    assert_eq!(names(&bench.assign(2, 1, &[0])), ["restore"]);
+    // The next hello names what was made before it, and that is sent.
+    let mut bench = Bench::with_weights(0..=0);
+    bench.follow(1, 5, 0);
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    bench.collected(2, Some(1));
+    bench.give(ActorInput::NotWelcomed(Box::new(leadtime_link::Error::Dead)));
+    bench.now = bench.actor.wakes_at().unwrap();
+    let told = bench.give(ActorInput::Tick);
+    let [ActorOutput::Hello { hello, .. }] = &told[..] else { panic!("{told:?}") };
+    assert_eq!(hello.published, Sequence(2));
+    assert!(names(&bench.welcomed(next)).contains(&"publish"));
+    assert_eq!((bench.actor.outbox.made, bench.actor.outbox.sent), (Sequence(2), Sequence(2)));
+}
+
+#[test]
+fn a_learner_that_is_back_gets_what_was_made_meanwhile() {
+    let mut bench = Bench::with_weights(0..=0);
+    bench.follow(1, 5, 0);
+    bench.give(ActorInput::LearnerLeft(LEARNER));
+    bench.collected(2, Some(1));
+    assert!(names(&bench.welcomed(LEARNER)).contains(&"publish"));
+    assert_eq!(bench.actor.outbox.sent, Sequence(2));
 }
 
 #[test]

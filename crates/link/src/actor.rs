@@ -57,8 +57,9 @@ const HELLO_GRACE: Duration = Duration::from_secs(5);
 const AWAY: Duration = Duration::from_secs(2);
 /// How long to wait for the answer to one hello: a question may be lost while a connection is being set up.
 const HELLO_WAIT: Duration = Duration::from_secs(10);
-/// How long a relay may take to answer; after that the learner is asked.
-const RELAY_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a relay may take to answer; after that the learner is asked. It has to pull the weights itself, over a line that may be
+/// slow: given up before its own pull is over, every actor of the region would pull them over that line.
+const RELAY_TIMEOUT: Duration = ask::PULL_TIMEOUT.saturating_add(Duration::from_secs(1));
 /// How long a relay that did not answer is left alone.
 const RELAY_PAUSE: Duration = Duration::from_secs(30);
 
@@ -276,7 +277,7 @@ impl ActorLink {
         if matches!(error, Error::NoAnswer { .. }) {
             if lock(rests_until).replace(Instant::now() + RELAY_PAUSE).is_none() {
                 warn!(
-                    "no relay of region `{region}` answers, so weights come from the learner itself; \
+                    "no relay of region `{region}` answers in time, so weights come from the learner itself; \
                      `leadtime router --region {region}` is one"
                 );
             }
@@ -541,6 +542,11 @@ fn on_order(
 mod tests {
     use super::*;
     use crate::test_support::*;
+
+    #[test]
+    fn a_relay_is_waited_for_as_long_as_it_may_wait_for_the_learner() {
+        assert!(RELAY_TIMEOUT > ask::PULL_TIMEOUT);
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn a_connection_that_leads_nowhere_is_replaced_by_the_next_hello_and_a_closed_one_is_not()

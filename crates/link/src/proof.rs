@@ -41,7 +41,8 @@ pub(crate) const TAG_PROOF_BYTES: usize = KEY_BYTES + blake3::OUT_LEN;
 pub(crate) const SIGNED_PROOF_BYTES: usize = KEY_BYTES + Signature::BYTE_SIZE;
 /// What the key of two starts is derived for, and nothing else.
 const PURPOSE: &str = "leadtime 2026-12-01 messages between a learner and an actor";
-/// The most starts whose keys are kept; those of others are computed again, which takes some 50 microseconds.
+/// The most starts whose keys are kept; those of others are computed again, which takes some 50 microseconds. Those that are in use, as
+/// the keys of a learner's members are, stay: with them their counts of hellos would be forgotten, and copies of old ones count.
 const MAX_PEERS: usize = 4_096;
 
 /// The keys of one start of a process. Its number distinguishes this start from every other, and is proved with them.
@@ -165,7 +166,7 @@ pub(crate) struct Keyring {
 
 #[derive(Debug, Default)]
 struct Peers {
-    /// Counts uses: the entry with the lowest count was used least recently.
+    /// Counts uses: the entry with the lowest number was used least recently.
     clock: u64,
     known: BTreeMap<Incarnation, Known>,
 }
@@ -176,6 +177,13 @@ struct Known {
     used: u64,
     /// The number of its last hello.
     n_hellos: u64,
+}
+
+impl Known {
+    /// Orders the starts by who is forgotten first: those whose key nobody holds, the one that was used least recently.
+    fn age(&self) -> (bool, u64) {
+        (Arc::strong_count(&self.key) > 1, self.used)
+    }
 }
 
 impl Keyring {
@@ -257,7 +265,7 @@ impl Peers {
 
     fn keep(&mut self, key: Arc<PeerKey>) {
         if self.known.len() >= MAX_PEERS
-            && let Some((&oldest, _)) = self.known.iter().min_by_key(|(_, known)| known.used)
+            && let Some((&oldest, _)) = self.known.iter().min_by_key(|(_, known)| known.age())
         {
             self.known.remove(&oldest);
         }
@@ -418,14 +426,37 @@ mod tests {
         assert!(lock(&learner.peers).known.is_empty());
     }
 
+    fn hello(actor: &StartKey, number: u64) -> (Header, Vec<u8>) {
+        let plain = Header::plain(Schema::Hello, actor.incarnation(), b"hello");
+        let header = Header { sequence: Sequence(number), ..plain };
+        (header, [&b"hello"[..], &actor.sign(&header, b"hello")].concat())
+    }
+
+    #[test]
+    fn an_old_hello_of_a_start_that_is_here_is_refused_however_many_others_come() {
+        let (actor, learner) = (StartKey::numbered(1), keyring(2));
+        let (header, sent) = hello(&actor, 1);
+        let (held, _) = learner.check_hello(&header, &sent).unwrap();
+        let others = |learner: &Keyring| {
+            let (own, shared) = ([0; KEY_BYTES], [0; blake3::KEY_LEN]);
+            let us = learner.own.incarnation();
+            for n in 0..2 * MAX_PEERS as u64 {
+                let key = PeerKey { own, shared, us, peer: Incarnation(n) };
+                lock(&learner.peers).keep(Arc::new(key));
+            }
+            assert_eq!(lock(&learner.peers).known.len(), MAX_PEERS);
+        };
+        others(&learner);
+        assert_eq!(cause(learner.check_hello(&header, &sent)), NO);
+        drop(held);
+        others(&learner);
+        assert!(learner.of(actor.incarnation()).is_none(), "it is gone, and takes no room");
+    }
+
     #[test]
     fn a_hello_counts_once() {
         let (actor, learner) = (StartKey::numbered(1), keyring(2));
-        let hello = |n| {
-            let plain = Header::plain(Schema::Hello, actor.incarnation(), b"hello");
-            let header = Header { sequence: Sequence(n), ..plain };
-            (header, [&b"hello"[..], &actor.sign(&header, b"hello")].concat())
-        };
+        let hello = |number| hello(&actor, number);
         let check =
             |(header, sent): (Header, Vec<u8>)| learner.check_hello(&header, &sent).map(drop);
         assert!(check(hello(1)).is_ok());

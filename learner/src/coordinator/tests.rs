@@ -164,6 +164,23 @@ fn an_actor_that_answers_no_order_gets_no_environment() {
 }
 
 #[test]
+fn an_actor_that_answers_no_order_gets_none_though_nobody_else_should_have_some() {
+    let mut c = coordinator(2, Schedule::Lag(0), &["a"]);
+    c.take_effects();
+    c.stragglers.fail(&actor("a"), 0);
+    c.hello(&hello("ghost", 0, 1)).unwrap();
+    c.joined(actor("ghost"), Incarnation(1));
+    c.rebalance();
+    assert!(assignments(&mut c).is_empty(), "it stays with the one that there is");
+    answer(&mut c, "ghost");
+    c.rebalance();
+    let told = assignments(&mut c);
+    let given: Vec<(&str, usize)> =
+        told.iter().map(|(to, it)| (to.as_str(), it.envs.len())).collect();
+    assert_eq!(given, [("a", 0), ("ghost", 2)]);
+}
+
+#[test]
 fn duplicates_are_counted_and_gaps_wait_for_what_is_missing() {
     let mut c = coordinator(1, Schedule::Lag(2), &["a"]);
     c.take_effects();
@@ -466,8 +483,12 @@ fn async_uses_what_is_made_even_by_actors_that_are_never_slower_than_their_credi
 fn rollouts_lost_with_a_killed_learner_are_counted_once_and_have_a_limit() {
     let mut c = coordinator(1, Schedule::Lag(0), &[]);
     let (lost, kept) = (MAX_LOST + 1, MAX_UNACKNOWLEDGED + 1);
-    // Two that are too much, and three that contradict themselves.
-    for (published, first) in [(lost, lost + 1), (kept, 1), (0, 0), (1, 3), (u64::MAX, 1)] {
+    // More than a learner loses: the run was begun anew, and so has to be the actor.
+    let refused = c.hello(&hello("a", lost, lost + 1)).unwrap_err();
+    assert_eq!(refused, HelloRefusal::TooManyLost);
+    assert!(refused.to_string().ends_with(": restart it"), "{refused}");
+    // One that is too much, and three that contradict themselves.
+    for (published, first) in [(kept, 1), (0, 0), (1, 3), (u64::MAX, 1)] {
         assert_eq!(c.hello(&hello("a", published, first)), Err(HelloRefusal::Nonsense));
     }
     assert_eq!(c.books().rolled_back, 0);
@@ -510,7 +531,7 @@ fn strangers_do_not_fill_the_books() {
         assert_eq!(c.books().rolled_back, i as u64, "a hello alone is none");
         answer(&mut c, &name);
     }
-    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(HelloRefusal::Nonsense));
+    assert_eq!(c.hello(&hello("one-more", 1, 2)), Err(HelloRefusal::TooManyLost));
     assert_eq!(c.hello(&hello("honest", 0, 1)), Ok(Sequence(1)));
     assert_eq!(c.books().rolled_back, MAX_LOSERS as u64);
 }
@@ -886,7 +907,21 @@ fn a_member_that_lost_its_environments_gets_them_again_when_it_asks() {
     c.tick();
     c.hello(&hello("a", 2, 2)).unwrap();
     assert!(assignments(&mut c).is_empty(), "something of it is on its way");
+    c.hello(&hello("a", 0, 1)).unwrap();
+    assert!(assignments(&mut c).is_empty(), "somebody kept this one");
     c.hello(&hello("a", 1, 2)).unwrap();
     let (_, again) = assignments(&mut c).remove(0);
     assert_eq!((again.epoch, again.envs[0].iteration), (Epoch(2), Iteration(1)));
+    let key = (actor("a"), Incarnation(1));
+    let membership = c.roster.membership(&key).unwrap();
+    for n_ticks in [0, IDLE_TICKS - 1] {
+        (0..n_ticks).for_each(|_| c.tick());
+        c.followed(&key, membership, again.epoch);
+        c.hello(&hello("a", 1, 2)).unwrap();
+        assert!(assignments(&mut c).is_empty(), "a moment ago, whatever it says it has done since");
+    }
+    assert!(c.roster_entries()[0].silent_s > IDLE_TICKS as f64 * TICK.as_secs_f64());
+    c.tick();
+    c.hello(&hello("a", 1, 2)).unwrap();
+    assert_eq!(assignments(&mut c).len(), 1);
 }
