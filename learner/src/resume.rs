@@ -186,8 +186,11 @@ mod tests {
         };
         trainer.update(&[rollout(0), rollout(1)]).unwrap();
         let sender = (ActorId::new("a").unwrap(), Incarnation(1));
-        let mut books = Books { trained: 2, ..Books::default() };
-        (1..=5).for_each(|sequence| books.enter(&sender, Sequence(sequence)));
+        let mut books = Books::default();
+        books.trained = 2;
+        for sequence in 1..=5 {
+            books.enter(&sender, Sequence(sequence));
+        }
         let checkpoint = Checkpoint {
             identity: config.identity,
             trainer: trainer.state().unwrap(),
