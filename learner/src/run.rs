@@ -298,7 +298,9 @@ impl RunLoop {
                 self.trained((*updated)?)?;
             }
             LearnerWake::Evaluated(evaluated) => {
-                take_in(evaluated, &mut self.record.held_out, self.sink.as_mut());
+                if let Some(Evaluations { plan, .. }) = &self.evaluations {
+                    take_in(plan, evaluated, &mut self.record.held_out, self.sink.as_mut());
+                }
             }
             LearnerWake::Control(outcome) => {
                 self.controlled(outcome);
