@@ -424,7 +424,7 @@ impl RunLoop {
             return Ok(());
         };
         self.phases.begins(self.sink.as_mut());
-        self.training.begin(batch)?;
+        self.training.begin(batch, self.coordinator.take_broken_off())?;
         self.is_training = true;
         Ok(())
     }
