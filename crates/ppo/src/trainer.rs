@@ -162,7 +162,7 @@ impl Trainer {
         self.settings.n_updates()
     }
 
-    /// Notes that an environment's next rollout does not begin where its last one ended: what that left of an episode is over.
+    /// Notes that an environment's next rollout does not begin where its last one ended: the episode before is over.
     pub fn forget_episode(&mut self, env_id: EnvId) {
         self.rewards.forget(env_id);
     }
