@@ -34,8 +34,9 @@ def logits(step):
     global state
     x = np.array(step["observation"])
     if spec["normalize_observations"]:
-        x = (x - tensors["normalizer.mean"]) / np.sqrt(tensors["normalizer.variance"] + 1e-8)
-        x = np.clip(x, -10, 10)
+        mean, scale = tensors["normalizer.mean"], 1 / np.sqrt(tensors["normalizer.variance"] + 1e-8)
+        x = (x.astype(np.float32) - mean.astype(np.float32)) * scale.astype(np.float32)
+        x = np.clip(x, -10, 10).astype(float)
     if encoder != "Identity":
         if step["step"] == 0:
             state = np.zeros((2, encoder["Lstm"]["state"]))

@@ -469,6 +469,38 @@ async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_diverges_keeps_its_last_good_update_and_goes_on_with_smaller_steps() {
+    let directory = tempfile::tempdir().unwrap();
+    // No checkpoint is due before the end. With such steps the second update diverges.
+    let config = Learner::config(directory.path(), Mode::Sync, 1, 1);
+    let settings = LearnerSettings { learning_rate: 5e5, ..config.settings };
+    let interval = CheckpointInterval { updates: 1_000, ..config.checkpoint_interval };
+    let learner =
+        Learner::start_with(LearnerConfig { settings, checkpoint_interval: interval, ..config });
+    let (n_updates, events) = (learner.n_updates.clone(), Arc::clone(&learner.events));
+    let helper = actor(directory.path(), "a", 1);
+    let joined = tokio::time::timeout(PATIENCE, learner.task).await.expect("in time");
+    let error = joined.unwrap().unwrap_err();
+    assert!(error.is_divergence(), "{error:?}");
+    dismissed(helper).await;
+    let n_good = *n_updates.borrow();
+    let saved = format!("{n_good:012}.checkpoint");
+    assert_reported(
+        &events,
+        |event| matches!(event, RunEvent::CheckpointWritten { path, .. } if path.ends_with(&saved)),
+    );
+    let learner = Learner::start(directory.path(), Mode::Sync, 1, 2);
+    let events = Arc::clone(&learner.events);
+    let helper = actor(directory.path(), "a", 2);
+    let report = learner.report_with(helper).await;
+    assert_eq!((report.end, report.n_updates), (RunEnd::Finished, N_UPDATES));
+    assert_reported(
+        &events,
+        |event| matches!(event, RunEvent::Resumed { n_updates, .. } if *n_updates == n_good),
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back() {
     let directory = tempfile::tempdir().unwrap();
     let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);

@@ -174,8 +174,10 @@ pub(crate) fn ready_slot(
     let (run_seed, env_id) = (spec.seed, assignment.env_id);
     let recurrent_dim = spec.policy.recurrent_dim();
     if assignment.snapshot.is_empty() {
-        // After a snapshot was lost in the middle of a run, the first episodes are not played once more.
-        let seed = EpisodeSeed { run_seed, env_id, episode: assignment.iteration.0 };
+        // After a snapshot was lost in the middle of a run, no episode is played once more: an environment has not ended more
+        // of them than it has taken steps.
+        let episode = assignment.iteration.0.saturating_mul(spec.n_steps.into());
+        let seed = EpisodeSeed { run_seed, env_id, episode };
         return Ok(EnvSlot::new(env, recurrent_dim, seed));
     }
     EnvSlot::restored(env, recurrent_dim, run_seed, env_id, &assignment.snapshot)

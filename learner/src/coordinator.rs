@@ -480,6 +480,11 @@ impl Coordinator {
         batch
     }
 
+    /// Returns the environments whose episodes were broken off, as far as training has not been told.
+    pub fn take_broken_off(&mut self) -> BTreeSet<EnvId> {
+        self.queue.take_broken_off()
+    }
+
     /// Notes that the batch is trained and the policy has a new version.
     pub fn trained(&mut self, version: PolicyVersion) {
         self.books.trained += self.in_training;

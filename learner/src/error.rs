@@ -38,3 +38,10 @@ pub enum Error {
     #[error("the network ended unexpectedly; please report this")]
     LinkGone,
 }
+
+impl Error {
+    /// Returns whether training diverged: the run goes on from its checkpoint, and with the same settings may diverge again.
+    pub fn is_divergence(&self) -> bool {
+        matches!(self, Self::Train(TrainError::Diverged(_)))
+    }
+}

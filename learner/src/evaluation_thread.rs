@@ -131,14 +131,13 @@ impl Evaluations {
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         sink.on_event(&RunEvent::Evaluating);
-        record.keep_comparable(&self.plan);
         while let Some(next) = record.next() {
             self.thread.begin(next);
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return false,
                 _ = ticks.tick() => sink.on_tick(health),
-                evaluated = self.thread.evaluated() => take_in(evaluated, record, sink),
+                evaluated = self.thread.evaluated() => take_in(&self.plan, evaluated, record, sink),
             }
         }
         true
@@ -147,6 +146,7 @@ impl Evaluations {
 
 /// Notes what the policy that was next did, or that it could not be evaluated.
 pub(crate) fn take_in(
+    plan: &EvaluationPlan,
     evaluated: Evaluated,
     record: &mut HeldOutRecord,
     sink: &mut dyn ProgressSink,
@@ -156,11 +156,11 @@ pub(crate) fn take_in(
     phases::evaluated(sink, version, n_episodes, &evaluated);
     match evaluated.value {
         Ok(episodes) => {
-            record.take_in(&episodes);
+            record.take_in(plan, &episodes);
             sink.on_held_out(record.history());
         }
         Err(reason) => {
-            record.take_in(&[]);
+            record.take_in(plan, &[]);
             sink.on_event(&RunEvent::EvaluationFailed { version, reason });
         }
     }

@@ -108,7 +108,7 @@ impl HeldOutRecord {
     }
 
     /// Forgets results on other episodes than the plan's: a resumed run may be evaluated in another world.
-    pub(crate) fn keep_comparable(&mut self, plan: &EvaluationPlan) {
+    fn keep_comparable(&mut self, plan: &EvaluationPlan) {
         if self.episodes != plan.episodes {
             let waiting = std::mem::take(&mut self.waiting);
             *self = Self { waiting, episodes: plan.episodes, ..Self::default() };
@@ -136,8 +136,10 @@ impl HeldOutRecord {
         self.waiting.front()
     }
 
-    /// Takes in what the policy that was next did; without episodes it is passed over.
-    pub(crate) fn take_in(&mut self, episodes: &[HeldOutEpisode]) {
+    /// Takes in what the policy that was next did in the plan's episodes; without episodes it is passed over.
+    pub(crate) fn take_in(&mut self, plan: &EvaluationPlan, episodes: &[HeldOutEpisode]) {
+        // It may have been queued under another plan, before the run was resumed.
+        self.keep_comparable(plan);
         let Some(WaitingPolicy { mut policy, .. }) = self.waiting.pop_front() else { return };
         let Some(found) = means(policy.version, episodes) else { return };
         self.history.push(found);
@@ -205,26 +207,39 @@ mod tests {
     fn rated(all: &[Vec<HeldOutEpisode>]) -> HeldOutRecord {
         let mut record = HeldOutRecord::default();
         for (version, played) in (1..).zip(all) {
-            let weights = vec![version as u8].into();
-            let (version, score) = (PolicyVersion(version), None);
-            let policy = RatedPolicy { version, score, held_out: None, weights };
-            record.queue(&PLAN, policy, &EpisodeMeans::default());
-            record.take_in(played);
+            record.queue(&PLAN, policy(version), &EpisodeMeans::default());
+            record.take_in(&PLAN, played);
         }
         record
+    }
+
+    fn policy(version: u64) -> RatedPolicy {
+        let weights = vec![version as u8].into();
+        RatedPolicy { version: PolicyVersion(version), score: None, held_out: None, weights }
     }
 
     #[test]
     fn policies_of_other_episodes_are_not_compared() {
         let mut record = rated(&[ten(9)]);
         let other = EvaluationPlan { episodes: [2; 32], ..PLAN };
-        let weights = vec![2].into();
-        let policy =
-            RatedPolicy { version: PolicyVersion(2), score: None, held_out: None, weights };
-        record.queue(&other, policy, &EpisodeMeans::default());
+        record.queue(&other, policy(2), &EpisodeMeans::default());
         assert_eq!((record.best().is_none(), record.history().len()), (true, 0));
-        record.take_in(&ten(3));
+        record.take_in(&other, &ten(3));
         assert_eq!(record.best().unwrap().version, PolicyVersion(2));
+    }
+
+    #[test]
+    fn a_policy_that_waited_while_the_episodes_changed_is_compared_with_later_ones_only() {
+        let mut record = rated(&[ten(9)]);
+        record.queue(&PLAN, policy(2), &EpisodeMeans::default());
+        let other = EvaluationPlan { episodes: [2; 32], ..PLAN };
+        record.take_in(&other, &ten(3));
+        let found = |record: &HeldOutRecord| {
+            (record.best().unwrap().version, record.history().len(), record.next().is_some())
+        };
+        assert_eq!(found(&record), (PolicyVersion(2), 1, false));
+        record.queue(&other, policy(3), &EpisodeMeans::default());
+        assert_eq!(found(&record), (PolicyVersion(2), 1, true), "its result is one of the plan's");
     }
 
     fn best(all: &[Vec<HeldOutEpisode>]) -> u64 {

@@ -101,6 +101,8 @@ pub struct RolloutQueue {
     schedule: Schedule,
     envs: Vec<EnvQueue>,
     n_arrived: u64,
+    /// Those whose next rollout of a batch does not begin where the last one ended.
+    broken_off: BTreeSet<EnvId>,
 }
 
 impl RolloutQueue {
@@ -110,7 +112,11 @@ impl RolloutQueue {
             consumed: Cursor { iteration: place.iteration, snapshot: place.snapshot, author: None },
             ..EnvQueue::default()
         };
-        Self { schedule, envs: places.into_iter().map(queue).collect(), n_arrived: 0 }
+        // Where a fresh episode begins, that of before may have been given up.
+        let broken_off = places.iter().filter(|place| place.snapshot.is_empty());
+        let broken_off = broken_off.map(|place| place.env_id).collect();
+        let envs = places.into_iter().map(queue).collect();
+        Self { schedule, envs, n_arrived: 0, broken_off }
     }
 
     /// Returns the places of `n_envs` environments that have not begun.
@@ -197,6 +203,7 @@ impl RolloutQueue {
             return Recovery::Redo(author);
         }
         let cursor = env.taken();
+        self.broken_off.insert(env_id);
         // The iteration stays: the environment's numbering goes on, only its episode is lost. The author is taken out,
         // so that nobody is blamed twice for one snapshot.
         cursor.snapshot.clear();
@@ -207,7 +214,7 @@ impl RolloutQueue {
     pub fn drop_stale(&mut self, version: PolicyVersion) -> u64 {
         let Schedule::Async { staleness_max } = self.schedule else { return 0 };
         let mut n_dropped = 0;
-        for env in &mut self.envs {
+        for (id, env) in (0_u32..).zip(&mut self.envs) {
             while env.waiting.front().is_some_and(|Waiting { rollout, .. }| {
                 Staleness::between(version, rollout.version) > Staleness(staleness_max)
             }) {
@@ -215,10 +222,17 @@ impl RolloutQueue {
                 // that is under way as done.
                 env.take();
                 env.commit();
+                self.broken_off.insert(EnvId(id));
                 n_dropped += 1;
             }
         }
         n_dropped
+    }
+
+    /// Returns the environments whose next rollout of a batch does not begin where the last one ended, once each: rollouts
+    /// between the two were dropped, or a fresh episode begins.
+    pub fn take_broken_off(&mut self) -> BTreeSet<EnvId> {
+        std::mem::take(&mut self.broken_off)
     }
 
     /// Takes the rollouts of the update that turns `version` into the next one, if they are all here, sorted by
@@ -335,7 +349,10 @@ mod tests {
         queue.accept(author(1), rollout(0, 1, 2));
         assert_eq!(queue.room(), Some(0));
         assert_eq!(queue.drop_stale(PolicyVersion(1)), 0);
+        queue.take_broken_off();
         assert_eq!(queue.drop_stale(PolicyVersion(2)), 1);
+        assert!(queue.take_broken_off().iter().eq([&EnvId(0)]), "the next one is no continuation");
+        assert!(queue.take_broken_off().is_empty());
         assert_eq!(queue.consumed()[0].iteration, Iteration(1));
         assert_eq!(ids(queue.take_batch(PolicyVersion(2))), [(0, 1)]);
     }
@@ -356,7 +373,12 @@ mod tests {
             queue.commit();
         }
         let fresh = Recovery::FreshEpisode(Some(author(1)));
+        assert!(queue.take_broken_off().iter().eq([&EnvId(0)]), "the first episode");
+        assert!(queue.take_broken_off().is_empty(), "what is made again is a continuation");
         assert_eq!(queue.recover(EnvId(0)), fresh);
+        assert!(queue.take_broken_off().iter().eq([&EnvId(0)]));
+        let mut resumed = RolloutQueue::new(Schedule::Lag(2), queue.consumed());
+        assert!(resumed.take_broken_off().iter().eq([&EnvId(0)]));
         assert_eq!(queue.consumed()[0].snapshot, Vec::<u8>::new());
         assert_eq!(queue.newest(EnvId(0)).iteration, Iteration(2));
     }

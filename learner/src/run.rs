@@ -16,7 +16,7 @@
 //! under way is waited for (for a limited time), the state goes to the disk, the books are closed. All of it takes less than
 //! five seconds. An update that takes longer is made again after a resume, with the same bits: the state before it is what is
 //! saved. A policy that waits to be evaluated is saved as well. Only when all updates are done the end waits for its
-//! evaluation.
+//! evaluation. A run that fails ends in the same way: the state after its last good update is saved.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -96,7 +96,8 @@ impl From<CancellationToken> for RunStop {
 /// # Errors
 ///
 /// [`Error`]: the network cannot be opened, the disk is full or not writable, the configuration differs from the
-/// one that the run was begun with, no checkpoint is whole, or training diverged. What is on the disk stays.
+/// one that the run was begun with, no checkpoint is whole, or training diverged. What is on the disk stays, and what was
+/// trained until then is saved.
 pub async fn run(
     config: LearnerConfig,
     mut sink: Box<dyn ProgressSink>,
@@ -130,11 +131,8 @@ pub async fn run(
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
     let mut run = RunLoop::new(config, store, sink, point, link, evaluations)?;
     let result = run.live(&events, &stop).await;
-    // A learner that fails dismisses its actors as well: they would look for it until their time-out.
     if let Err(error) = &result {
-        run.coordinator.stop_everyone(&format!("the learner ended: {error}"));
-        run.act();
-        run.farewell(&events).await.unwrap_or_else(|error| debug!(%error, "farewell failed"));
+        run.fail(error, &events, &stop).await;
     }
     let how = result.as_ref().map_or("failed", |report| report.end.name());
     run.bulletin.finish(&json!({"kind": "end", "how": how, "update": run.version.0})).await;
@@ -298,7 +296,9 @@ impl RunLoop {
                 self.trained((*updated)?)?;
             }
             LearnerWake::Evaluated(evaluated) => {
-                take_in(evaluated, &mut self.record.held_out, self.sink.as_mut());
+                if let Some(Evaluations { plan, .. }) = &self.evaluations {
+                    take_in(plan, evaluated, &mut self.record.held_out, self.sink.as_mut());
+                }
             }
             LearnerWake::Control(outcome) => {
                 self.controlled(outcome);
@@ -424,7 +424,7 @@ impl RunLoop {
             return Ok(());
         };
         self.phases.begins(self.sink.as_mut());
-        self.training.begin(batch)?;
+        self.training.begin(batch, self.coordinator.take_broken_off())?;
         self.is_training = true;
         Ok(())
     }
@@ -434,8 +434,8 @@ impl RunLoop {
         let started = Instant::now();
         self.version = updated.version;
         self.coordinator.trained(updated.version);
-        // Before everything that takes time: actors wait for it.
-        self.link.offer_weights(updated.version, Arc::clone(&updated.weights))?;
+        // Before everything that takes time: actors wait for it. Where it fails, the update is made all the same.
+        let offered = self.link.offer_weights(updated.version, Arc::clone(&updated.weights));
         // After the offer: there is always a version to pull.
         self.link.retire_weights(self.oldest_needed());
         let (learner, offer) = (self.config.start.incarnation().0, Timed::since(started, ()));
@@ -449,6 +449,7 @@ impl RunLoop {
         self.report_progress(&updated);
         // Together with the record above: a checkpoint holds both, and they must be of the same update.
         self.state = updated.state;
+        offered?;
         let (since, n_then) = self.last_checkpoint;
         let interval = self.config.checkpoint_interval;
         let is_due = self.version.0 >= self.config.settings.n_updates()
@@ -674,6 +675,23 @@ impl RunLoop {
         let (books, builds) = (self.coordinator.books().clone(), self.coordinator.builds().clone());
         let (last, evaluations) = (self.last(), self.evaluations.as_ref());
         ending::report(&self.config, end, last, evaluations, self.record.clone(), books, builds)
+    }
+
+    /// Ends a run that has failed. Its actors are dismissed: they would look for it until their time-out. What was trained
+    /// until then is whole, and is saved, unless that is what failed.
+    async fn fail(
+        &mut self,
+        error: &Error,
+        events: &flume::Receiver<LearnerEvent>,
+        stop: &RunStop,
+    ) {
+        self.coordinator.stop_everyone(&format!("the learner ended: {error}"));
+        self.act();
+        self.farewell(events).await.unwrap_or_else(|error| debug!(%error, "farewell failed"));
+        if !matches!(error, Error::Checkpoint(_)) {
+            self.coordinator.close();
+            self.save_end(stop).await.unwrap_or_else(|error| debug!(%error, "end not saved"));
+        }
     }
 
     /// Goes on listening until the actors have left and the update under way is done, or time is up.

@@ -1,19 +1,22 @@
 //! The thread that trains, so that the learner's loop keeps answering meanwhile.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use leadtime_ppo::{TrainError, Trainer, TrainerState, UpdateReport};
-use leadtime_proto::{CheckedRollout, PolicyVersion};
+use leadtime_proto::{CheckedRollout, EnvId, PolicyVersion};
 use tokio::sync::mpsc;
 
 use crate::Error;
 
 /// One batch and one result may be under way.
 const DEPTH: usize = 1;
+
+/// The rollouts of an update, and the environments whose episodes so far are over without an end in a rollout.
+type TrainingBatch = (Vec<CheckedRollout>, BTreeSet<EnvId>);
 
 #[derive(Debug)]
 pub(crate) struct Updated {
@@ -32,7 +35,7 @@ pub(crate) struct Updated {
 /// The loop's end of the training thread.
 #[derive(Debug)]
 pub(crate) struct TrainingThread {
-    batches: SyncSender<Vec<CheckedRollout>>,
+    batches: SyncSender<TrainingBatch>,
     updates: mpsc::Receiver<Result<Updated, Error>>,
 }
 
@@ -48,9 +51,14 @@ impl TrainingThread {
         Ok(Self { batches, updates })
     }
 
-    /// Begins an update from rollouts sorted by environment and iteration; no other may be under way.
-    pub(crate) fn begin(&self, rollouts: Vec<CheckedRollout>) -> Result<(), Error> {
-        self.batches.try_send(rollouts).map_err(|_gone| Error::TrainerGone)
+    /// Begins an update from rollouts sorted by environment and iteration; no other may be under way. The episodes that the
+    /// `broken_off` environments had before are over.
+    pub(crate) fn begin(
+        &self,
+        rollouts: Vec<CheckedRollout>,
+        broken_off: BTreeSet<EnvId>,
+    ) -> Result<(), Error> {
+        self.batches.try_send((rollouts, broken_off)).map_err(|_gone| Error::TrainerGone)
     }
 
     /// Waits for the end of the update under way.
@@ -61,10 +69,11 @@ impl TrainingThread {
 
 fn work(
     mut trainer: Trainer,
-    inbox: &Receiver<Vec<CheckedRollout>>,
+    inbox: &Receiver<TrainingBatch>,
     outbox: &mpsc::Sender<Result<Updated, Error>>,
 ) {
-    while let Ok(rollouts) = inbox.recv() {
+    while let Ok((rollouts, broken_off)) = inbox.recv() {
+        broken_off.into_iter().for_each(|env_id| trainer.forget_episode(env_id));
         if outbox.blocking_send(update(&mut trainer, rollouts)).is_err() {
             return; // The run is over and nothing waits for the result.
         }

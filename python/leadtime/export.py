@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from leadtime.policy import ABSENT, PRESENT, load
+from leadtime.policy import ABSENT, PRESENT, load, normalizer_of
 
 OPSET = 17
 
@@ -58,12 +58,9 @@ def graph_of(policy):
 
     x = "observation"
     if spec["normalize_observations"]:
-        # In 64 bits, as the program does.
-        mean, scale = tensors["normalizer.mean"], np.sqrt(tensors["normalizer.variance"] + 1e-8)
-        x = graph.op("Sub", graph.op("Cast", x, to=TensorProto.DOUBLE), graph.constant(mean, np.float64))
-        x = graph.op("Div", x, graph.constant(scale, np.float64))
-        x = graph.op("Clip", x, graph.constant(-10, np.float64), graph.constant(10, np.float64))
-        x = graph.op("Cast", x, to=TensorProto.FLOAT)
+        mean, scale = (graph.constant(numbers) for numbers in normalizer_of(tensors))
+        x = graph.op("Mul", graph.op("Sub", x, mean), scale)
+        x = graph.op("Clip", x, graph.constant(-10), graph.constant(10))
     state, encoder = None, spec["encoder"]
     if "Lstm" in encoder:
         width = encoder["Lstm"]["state"]

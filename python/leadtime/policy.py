@@ -74,6 +74,12 @@ def digest_of(tensors):
     return digest.hexdigest()
 
 
+def normalizer_of(tensors):
+    """Returns what an observation is reduced by, and then multiplied with: in 32 bits, as the program has them."""
+    scale = 1 / np.sqrt(tensors["normalizer.variance"] + 1e-8)
+    return tensors["normalizer.mean"].astype(np.float32), scale.astype(np.float32)
+
+
 def softmax(x):
     e = np.exp(x - x.max())
     return e / e.sum()
@@ -116,8 +122,8 @@ class Policy:
         if x.shape != (self.obs_dim,):
             raise ValueError(f"an observation has {self.obs_dim} numbers, this one has shape {x.shape}")
         if self.spec["normalize_observations"]:
-            mean, variance = self.tensors["normalizer.mean"], self.tensors["normalizer.variance"]
-            x = np.clip((x - mean) / np.sqrt(variance + 1e-8), -10, 10)
+            mean, scale = normalizer_of(self.tensors)
+            x = np.clip((x.astype(np.float32) - mean) * scale, -10, 10).astype(float)
         encoder = self.spec["encoder"]
         if "Lstm" in encoder:
             state = self._lstm(x, *(self.begin() if state is None else state))

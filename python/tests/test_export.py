@@ -1,7 +1,8 @@
 """Checks of leadtime.export: run with the package, onnx and onnxruntime installed, from the repository's root.
 
 The logits of every shipped policy, and their states, are those of leadtime.policy within 1e-5, on a walk of observations. Those of
-a policy with attention are the program's, as crates/policy/tests/recorded_attention.rs recorded them.
+a policy with attention are the program's, as crates/policy/tests/recorded_attention.rs recorded them, and a number far from zero is
+normalised as in crates/policy/src/normalizer.rs.
 """
 
 import json
@@ -13,7 +14,7 @@ import numpy as np
 import onnxruntime
 
 from leadtime.export import to_onnx
-from leadtime.policy import load
+from leadtime.policy import Policy, load
 
 POLICIES = ["deploy/policies/piloting", "deploy/policies/piloting_hard", "deploy/policies/driving", "deploy/policies/cooking",
             "tests/data/attention"]
@@ -73,3 +74,13 @@ for step, of_step, value in zip(recorded, logits, values):
     far = max(np.abs(of_step - step["logits"]).max(), abs(value[0] - step["value"]))
     assert far < 1e-5, (step["case"], far)
 print(f"attention, {len(recorded)} cases: the program's numbers")
+
+heads = [{"name": "a", "n_choices": 2}]
+spec = {"obs_dim": 1, "normalize_observations": True, "encoder": "Identity", "hidden": [], "actions": {"heads": heads}}
+weight, bias = np.array([[1], [-1]], np.float32), np.zeros(2, np.float32)
+far = Policy(spec, {"normalizer.mean": np.array([10_000.0003]), "normalizer.variance": np.array([1e-4]),
+                    "actor.head.weight": weight, "actor.head.bias": bias,
+                    "critic.head.weight": weight[:1], "critic.head.bias": bias[:1]}, {})
+logits = exported(far).run(["logits"], {"observation": np.array([[10_000.01]], np.float32)})[0]
+assert np.abs(logits - [0.976514, -0.976514]).max() < 1e-5, logits
+print("a number far from zero: the program's")

@@ -310,6 +310,15 @@ class Policy(unittest.TestCase):
             slack = (interval["high"] - interval["low"]) / 2
             self.assertTrue(interval["low"] - slack <= mean <= interval["high"] + slack, (name, mean, interval))
 
+    def test_a_number_far_from_zero_is_normalised_as_in_the_program(self):
+        # The same numbers as in crates/policy/src/normalizer.rs.
+        actions = {"heads": [{"name": "a", "n_choices": 2}], "gate": None, "conditionals": []}
+        spec = {"obs_dim": 1, "normalize_observations": True, "encoder": "Identity", "hidden": [], "actions": actions}
+        tensors = {"normalizer.mean": np.array([10_000.0003]), "normalizer.variance": np.array([1e-4]),
+                   "actor.head.weight": np.array([[1], [-1]], np.float32), "actor.head.bias": np.zeros(2, np.float32)}
+        logits, _ = leadtime.policy.Policy(spec, tensors, {}).logits([10_000.01])
+        self.assertLess(np.abs(logits - [0.976514, -0.976514]).max(), 1e-5)
+
     def test_attention_has_the_program_s_logits_whoever_is_present(self):
         # Recorded from the program: crates/policy/tests/recorded_attention.rs.
         policy = load(ROOT / "tests/data/attention.safetensors")

@@ -109,6 +109,17 @@ fn ends_come_with_their_values_and_summaries() {
 }
 
 #[test]
+fn after_a_lost_snapshot_no_episode_is_played_again() {
+    let mut worker = worker(&[beginning(0)]);
+    let played: Vec<Rollout> = (0..3).flat_map(|_| collect(&mut worker)).collect();
+    let last = played[2].ends.last().unwrap().summary.episode;
+    assert!(last > 3, "more episodes than rollouts");
+    worker.insert(cart_pole(), &EnvAssignment { iteration: Iteration(3), ..beginning(0) }).unwrap();
+    let fresh = collect(&mut worker).remove(0);
+    assert!(fresh.ends[0].summary.episode > last + 1, "nor the one that was lost");
+}
+
+#[test]
 fn time_is_measured_by_the_callers_stopwatch() {
     struct Laps(Vec<Phase>);
     impl Stopwatch for Laps {

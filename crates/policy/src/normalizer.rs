@@ -167,6 +167,15 @@ mod tests {
         assert_eq!(normalizer.count, 30.0);
     }
 
+    /// Other implementations have the same numbers: `python/tests`.
+    #[test]
+    fn a_number_far_from_zero_is_normalised_in_32_bits() {
+        let (mean, variance) = (vec![10_000.000_3], vec![1e-4]);
+        let mut out = [0.0];
+        ObservationNormalizer { mean, variance, count: 1.0 }.freeze().apply(&[10_000.01], &mut out);
+        assert!((out[0] - 0.976_514).abs() < 1e-5, "{}", out[0]);
+    }
+
     #[test]
     fn far_outliers_are_clipped() {
         let mut out = [0.0; 2];

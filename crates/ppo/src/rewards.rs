@@ -49,6 +49,11 @@ impl ReturnNormalizer {
         self.merge(&returns);
     }
 
+    /// Forgets an environment's return so far: its next rollout belongs to another episode.
+    pub(crate) fn forget(&mut self, env_id: EnvId) {
+        self.returns.remove(&env_id);
+    }
+
     fn merge(&mut self, returns: &[f64]) {
         if returns.is_empty() {
             return;
@@ -91,6 +96,20 @@ mod tests {
         };
         let (env_id, ends) = (EnvId(env_id), ends.iter().map(end).collect());
         Rollout { env_id, ends, ..Rollout::default() }
+    }
+
+    #[test]
+    fn a_return_whose_end_was_never_seen_is_forgotten() {
+        let mut normalizer = ReturnNormalizer { count: 0.0, ..ReturnNormalizer::default() };
+        normalizer.update(&rollout(0, &[]), &[1.0, 2.0], 0.5);
+        normalizer.update(&rollout(1, &[]), &[4.0], 0.5);
+        for env_id in [0, 7].map(EnvId) {
+            normalizer.forget(env_id);
+        }
+        normalizer.update(&rollout(0, &[]), &[1.0], 0.5);
+        normalizer.update(&rollout(1, &[]), &[1.0], 0.5);
+        let mean = (1.0 + 2.5 + 4.0 + 1.0 + 3.0) / 5.0;
+        assert!((normalizer.mean - mean).abs() < 1e-12, "{}", normalizer.mean);
     }
 
     #[test]

@@ -23,7 +23,9 @@ use leadtime_policy::{
     ActionDistribution, ObservationMoments, ObservationNormalizer, Parameters, Policy,
 };
 use leadtime_proto::limits::MAX_MAGNITUDE;
-use leadtime_proto::{CheckedRollout, Encoder, PolicySpec, PolicyVersion, Schedule, Staleness};
+use leadtime_proto::{
+    CheckedRollout, Encoder, EnvId, PolicySpec, PolicyVersion, Schedule, Staleness,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
@@ -158,6 +160,11 @@ impl Trainer {
     /// Returns the number of updates of the whole run.
     pub fn n_updates(&self) -> u64 {
         self.settings.n_updates()
+    }
+
+    /// Notes that an environment's next rollout does not begin where its last one ended: the episode before is over.
+    pub fn forget_episode(&mut self, env_id: EnvId) {
+        self.rewards.forget(env_id);
     }
 
     /// Makes one update.

@@ -35,6 +35,9 @@ use crate::sink::{RunSink, held_out_sentence};
 
 /// Where a learner listens if nothing else is said; with a certificate by TLS, else by TCP.
 const DEFAULT_ADDRESS: &str = "127.0.0.1:7447";
+/// What helps after a divergence.
+const DIVERGED: &str = "the run goes on from its last good update with --name and a smaller \
+                        --change learner.learning_rate=...";
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
@@ -233,6 +236,11 @@ fn failure(error: leadtime_learner::Error) -> Failure {
         Error::Link(error) if is_wrong_input(&error) || is_wrong_address(&error) => {
             return Failure::of(ExitCode::WrongInput, error);
         }
+        // The same command would make the same update again.
+        error if error.is_divergence() => {
+            let told = format!("{:#}; {DIVERGED}", anyhow::Error::from(error));
+            return Failure::of(ExitCode::Failed, anyhow::Error::msg(told));
+        }
         error => error,
     };
     let code = match &error {
@@ -371,5 +379,16 @@ mod tests {
             let told = read(&format!("--max-actors={wrong}")).unwrap_err().to_string();
             assert!(told.contains("--max-actors"), "{told}");
         }
+    }
+
+    #[test]
+    fn a_divergence_names_what_helps() {
+        let cause = "gradient norm of minibatch 3 is inf".to_owned();
+        let error = leadtime_ppo::TrainError::Diverged(cause);
+        let failure = failure(leadtime_learner::Error::Train(error));
+        assert_eq!(failure.code, ExitCode::Failed);
+        let told = failure.error.unwrap().to_string();
+        let cause = "training failed: gradient norm of minibatch 3 is inf: training has diverged; ";
+        assert_eq!(told, format!("{cause}{DIVERGED}"));
     }
 }
