@@ -73,7 +73,9 @@ fn work(
     outbox: &mpsc::Sender<Result<Updated, Error>>,
 ) {
     while let Ok((rollouts, broken_off)) = inbox.recv() {
-        broken_off.into_iter().for_each(|env_id| trainer.forget_episode(env_id));
+        for env_id in broken_off {
+            trainer.forget_episode(env_id);
+        }
         if outbox.blocking_send(update(&mut trainer, rollouts)).is_err() {
             return; // The run is over and nothing waits for the result.
         }
