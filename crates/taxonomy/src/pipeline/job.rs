@@ -150,7 +150,7 @@ pub(super) fn replay(
     path: &Path,
     log: &str,
 ) -> Result<(Built, LogHeader), PipelineError> {
-    let mut log = CallLog::read(path, log, None)?;
+    let mut log = CallLog::read(path, log)?;
     let header = log.header.clone();
     let header = header.ok_or_else(|| not_in_log("who was asked: the log is empty"))?;
     let absent = |id: &str| LoggedBackend { id: id.to_owned(), fidelity: header.fidelity };
