@@ -38,8 +38,9 @@ pub struct LogHeader {
 
 impl fmt::Display for LogHeader {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { domain, generator, rater, embedder, .. } = self;
-        write!(f, "{domain} with {generator}, {rater} and {embedder}")
+        let Self { domain, fidelity, generator, rater, embedder, .. } = self;
+        let fidelity = fidelity.name();
+        write!(f, "{domain} ({fidelity}) with {generator}, {rater} and {embedder}")
     }
 }
 
@@ -121,6 +122,21 @@ impl CallLog {
     pub(super) fn claim(&mut self, header: &LogHeader) -> Result<(), PipelineError> {
         match &self.header {
             Some(found) if found == header => Ok(()),
+            Some(found) if found.schema != header.schema => Err(PipelineError::Unusable(format!(
+                "the call log {} is of form {}; this program writes form {}; give another log",
+                self.path.display(),
+                found.schema,
+                header.schema
+            ))),
+            // What was paid is of use: only the claim differs.
+            Some(found) if *found == (LogHeader { fidelity: found.fidelity, ..header.clone() }) => {
+                let (begun, asked) = (found.fidelity.name(), header.fidelity.name());
+                Err(PipelineError::Unusable(format!(
+                    "the call log {} was begun with --fidelity {begun}, not {asked}; give --fidelity {begun}, or \
+                     another log",
+                    self.path.display()
+                )))
+            }
             Some(found) => Err(PipelineError::Unusable(format!(
                 "the call log {} was made for {found}, not for {header}; give another log",
                 self.path.display()

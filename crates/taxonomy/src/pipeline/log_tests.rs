@@ -95,7 +95,21 @@ fn the_log_of_another_run_is_not_gone_on_with() {
     let path = directory.path().join("calls.jsonl");
     fill(&path);
     let error = CallLog::open(&path).unwrap().claim(&header("another")).unwrap_err().to_string();
-    assert!(error.contains("was made for lander with writer, rater and embedder, not"), "{error}");
+    let says = "was made for lander (local) with writer, rater and embedder, not";
+    assert!(error.contains(says), "{error}");
+}
+
+#[test]
+fn a_log_of_another_claim_says_both() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    fill(&path);
+    let claim = |header| CallLog::open(&path).unwrap().claim(&header).unwrap_err().to_string();
+    let error = claim(LogHeader { fidelity: Fidelity::Paper, ..header("writer") });
+    let says = "was begun with --fidelity local, not paper; give --fidelity local, or another log";
+    assert!(error.ends_with(says), "{error}");
+    let error = claim(LogHeader { schema: 2, ..header("writer") });
+    assert!(error.ends_with("is of form 1; this program writes form 2; give another log"));
 }
 
 #[test]
