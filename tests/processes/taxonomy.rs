@@ -292,6 +292,21 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
     taxonomy(&place, &["report highway --set settings.theta=60"])
         .with_code(WRONG_INPUT)
         .saying(&["--log is missing"]);
+    // What is an option is not blamed on the plan, and one that nobody heeds is told.
+    let shipped = fs::read_to_string(data("lander/plan.toml")).unwrap();
+    let own =
+        place.write("grid.toml", &shipped.replace("domain = \"lander\"", "domain = \"grid\""));
+    for (args, says) in [
+        (
+            "--backend authored",
+            "--annotations is missing: none come with `grid`, only with highway",
+        ),
+        ("--backend http --model m --url http://h --tries 0", "--tries is 0; allowed: 1 to 10"),
+        ("--backend grammar --annotations a.txt", "--annotations is for --backend authored"),
+        ("--backend authored --fidelity paper", "--fidelity is for --backend http; leave it out"),
+    ] {
+        build(&format!("{own} {args}")).saying(&[says]);
+    }
     place.write("annotations.txt", "# ascend two 4\n");
     build("lander --backend authored --annotations annotations.txt").saying(&["line 1"]);
 }

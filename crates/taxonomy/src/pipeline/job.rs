@@ -135,7 +135,14 @@ fn generator(plan: &DatabasePlan, backend: &Backend) -> Result<Box<dyn Model>, P
     Ok(match backend {
         Backend::Authored(Some(path)) => Box::new(Annotator::parse(&read(path)?, plan)?),
         Backend::Authored(None) => {
-            Box::new(Annotator::parse(source(&plan.domain)?.annotations, plan)?)
+            let shipped = source(&plan.domain).map_err(|_unknown| {
+                let (domain, known) = (&plan.domain, SOURCES.map(|source| source.domain));
+                PipelineError::Unusable(format!(
+                    "--annotations is missing: none come with `{domain}`, only with {}",
+                    known.join(", ")
+                ))
+            })?;
+            Box::new(Annotator::parse(shipped.annotations, plan)?)
         }
         Backend::Grammar => Box::new(Grammar::new(plan)),
         Backend::Http(settings) => Box::new(Http::new(settings.clone())?),
