@@ -907,10 +907,16 @@ pub(crate) struct NewArgs {
     pub leadtime: Option<PathBuf>,
 }
 
-/// Reads `60s`, `2m` or `500ms`.
+/// The longest time that an option may give.
+const LONGEST: Duration = Duration::from_hours(87_600);
+const TOO_LONG: &str = "at most 87600h, ten years";
+
+/// Reads `60s`, `2m` or `500ms`, up to [`LONGEST`].
 fn duration(text: &str) -> Result<Duration, String> {
     let span = text.parse::<jiff::SignedDuration>().and_then(Duration::try_from);
-    span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())
+    let span = span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())?;
+    // A moment that the clock cannot count to is no deadline.
+    if span > LONGEST { Err(TOO_LONG.to_owned()) } else { Ok(span) }
 }
 
 /// Reads a time in seconds: `nan` would count as left out where it is written as JSON.
@@ -929,7 +935,10 @@ fn stop_after(text: &str) -> Result<StopAfter, String> {
     }
     match number(without("updates").unwrap_or(text)) {
         Ok(updates) => Ok(StopAfter::Updates(updates)),
-        Err(says) => duration(text).map(StopAfter::Time).map_err(|_unspecific| says),
+        Err(says) => duration(text).map(StopAfter::Time).map_err(|why| {
+            // The other sentence would ask for what was given.
+            if why == TOO_LONG { why } else { says }
+        }),
     }
 }
 
