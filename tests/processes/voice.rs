@@ -272,6 +272,27 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
 }
 
 #[test]
+fn where_sound_cannot_be_written_nobody_speaks() {
+    let place = Place::new();
+    place.write("file", "");
+    fs::create_dir(place.file("mine")).unwrap();
+    place.write("mine/sound.ogg", "my own");
+    for (output, told) in [
+        ("file/x", "cannot make file/x"),
+        ("mine", "mine holds sound.ogg already, which is left as it is: choose another -o"),
+    ] {
+        let mut command = place.program(&["taxonomy speak lander -o", output]);
+        command.args(["--voice", "pipe:touch asked; read line"]);
+        place.start_with(command).finish(PATIENCE).with_code(WRONG_INPUT).saying(&[told]);
+        assert!(!place.path().join("asked").exists(), "the helper was started");
+    }
+    let mut command = place.program(&["taxonomy speak lander -o new"]);
+    command.args(["--voice", "pipe:touch asked; read line"]);
+    place.start_with(command).finish(PATIENCE).with_code(WRONG_INPUT);
+    assert!(place.path().join("asked").exists() && !place.path().join("new").exists());
+}
+
+#[test]
 fn what_is_said_in_the_time_of_a_voice_is_replayed_exactly() {
     for clock in ["timer", "word"] {
         let place = Place::new();
