@@ -47,6 +47,8 @@ fn taxonomy(place: &Place, args: &[&str]) -> Finished {
 fn a_database_is_made_by_the_grammar_and_again_from_its_log() {
     let place = Place::new();
     let build = "build highway --backend grammar -o a";
+    let stopped = taxonomy(&place, &[build, "--max-calls 1 --json"]).with_code(0).json();
+    assert_eq!(stopped, serde_json::json!({"database": null, "calls": 1, "stopped": true}));
     let cut = taxonomy(&place, &[build, "--max-calls 50"]);
     cut.with_code(0).saying(&["stopped after 50 calls"]);
     assert!(!place.path().join("a/taxonomy.toml").exists());
