@@ -20,6 +20,7 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 use crate::exit::EXIT_CODE_HELP;
 
 mod changes;
+mod durations;
 mod live;
 mod logs;
 mod network;
@@ -28,6 +29,7 @@ mod robot;
 mod taxonomy;
 mod worker;
 
+use durations::{TOO_LONG, duration};
 pub(crate) use live::{DriveArgs, NotifierArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs};
 pub(crate) use logs::{LogArgs, LogFormat, Verbosity};
 pub(crate) use network::{
@@ -905,18 +907,6 @@ pub(crate) struct NewArgs {
     /// Leadtime's source (default: where this program was built from, if that is still there).
     #[arg(long, value_name = "PATH")]
     pub leadtime: Option<PathBuf>,
-}
-
-/// The longest time that an option may give.
-const LONGEST: Duration = Duration::from_hours(87_600);
-const TOO_LONG: &str = "at most 87600h, ten years";
-
-/// Reads `60s`, `2m` or `500ms`, up to [`LONGEST`].
-fn duration(text: &str) -> Result<Duration, String> {
-    let span = text.parse::<jiff::SignedDuration>().and_then(Duration::try_from);
-    let span = span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())?;
-    // A moment that the clock cannot count to is no deadline.
-    if span > LONGEST { Err(TOO_LONG.to_owned()) } else { Ok(span) }
 }
 
 /// Reads a time in seconds: `nan` would count as left out where it is written as JSON.
