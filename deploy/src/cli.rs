@@ -20,6 +20,7 @@ use leadtime_studies::{EPISODES, EVAL_SEED};
 use crate::exit::EXIT_CODE_HELP;
 
 mod changes;
+mod durations;
 mod live;
 mod logs;
 mod network;
@@ -28,6 +29,7 @@ mod robot;
 mod taxonomy;
 mod worker;
 
+use durations::{TOO_LONG, duration};
 pub(crate) use live::{DriveArgs, NotifierArgs, RecordArgs, ReplayArgs, ReplaySpeed, ServeArgs};
 pub(crate) use logs::{LogArgs, LogFormat, Verbosity};
 pub(crate) use network::{
@@ -907,12 +909,6 @@ pub(crate) struct NewArgs {
     pub leadtime: Option<PathBuf>,
 }
 
-/// Reads `60s`, `2m` or `500ms`.
-fn duration(text: &str) -> Result<Duration, String> {
-    let span = text.parse::<jiff::SignedDuration>().and_then(Duration::try_from);
-    span.map_err(|_unspecific| "write a number with its unit: 60s or 2m".to_owned())
-}
-
 /// Reads a time in seconds: `nan` would count as left out where it is written as JSON.
 fn seconds(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
@@ -929,7 +925,10 @@ fn stop_after(text: &str) -> Result<StopAfter, String> {
     }
     match number(without("updates").unwrap_or(text)) {
         Ok(updates) => Ok(StopAfter::Updates(updates)),
-        Err(says) => duration(text).map(StopAfter::Time).map_err(|_unspecific| says),
+        Err(says) => duration(text).map(StopAfter::Time).map_err(|why| {
+            // The other sentence would ask for what was given.
+            if why == TOO_LONG { why } else { says }
+        }),
     }
 }
 

@@ -19,6 +19,12 @@ pub(crate) fn watch(who: Watch) -> io::Result<CancellationToken> {
     shutdown::watch(who, end_now)
 }
 
+/// Ends a command at SIGTERM and SIGHUP that does not [`watch`]: what it writes is whole or not there. With a log file, SIGHUP
+/// reopens it instead. Fails as [`watch`] does.
+pub(crate) fn at_once() -> io::Result<()> {
+    shutdown::end_at_once(end_now)
+}
+
 /// Returns what was done; `None` if it was interrupted because SIGUSR1 asked for the end, which is no failure.
 pub(crate) fn unless_drained<T>(
     done: Result<T, Failure>,

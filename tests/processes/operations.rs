@@ -209,6 +209,32 @@ fn a_log_for_machines_goes_to_a_file_that_is_opened_again_on_hangup() {
 }
 
 #[test]
+fn a_command_without_anything_to_finish_hears_signals_as_well() {
+    let place = Place::new();
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}/v1", silent.local_addr().unwrap());
+    let rate = |more: &str| {
+        let asked = "taxonomy rate highway --topic slow_down --backend http --model m --url";
+        let rate = place.start(&[asked, &url, more, "Slow."]);
+        // It waits for an answer that never comes.
+        let (stream, _) = silent.accept().unwrap();
+        (rate, stream)
+    };
+    let log = place.file("log");
+    let (mut logged, _waits) = rate(&format!("--log-file {log}"));
+    fs::rename(&log, place.file("log.1")).unwrap();
+    signal("HUP", logged.id());
+    wait_until("the file is made again", PATIENCE, || Path::new(&log).exists());
+    assert!(logged.is_running());
+    signal("TERM", logged.id());
+    logged.finish(PATIENCE).with_code(130);
+    // Without a log file it was the terminal that was closed.
+    let (hung_up, _waits) = rate("");
+    signal("HUP", hung_up.id());
+    hung_up.finish(PATIENCE).with_code(130);
+}
+
+#[test]
 fn a_service_manager_hears_that_a_learner_is_ready_alive_and_about_to_end() {
     let place = Place::new();
     let path = place.file("notify");

@@ -74,6 +74,17 @@ fn a_supervisor_that_is_drained_while_it_chooses_a_lag_ends_well_and_begins_no_r
 }
 
 #[test]
+fn the_trials_of_a_lag_are_no_runs_of_the_directory_that_is_named() {
+    let place = Place::new();
+    let choose = "--choose-lag --set learner.mode=lag --runs elsewhere";
+    let supervisor = place.start(&[LONG, choose]);
+    wait_for_words(&supervisor, "Trying learner.lag = 2");
+    signal("USR1", supervisor.id());
+    supervisor.finish(6 * SECOND).with_code(0);
+    assert!(!place.path().join("elsewhere").exists());
+}
+
+#[test]
 fn a_lag_is_tried_for_a_fork_and_without_the_actors_that_are_to_join_the_run() {
     let place = Place::new();
     place.finish(&[&LONG.replace("--name r", "--name a"), "--stop-after 2"]).with_code(0);

@@ -47,6 +47,8 @@ fn taxonomy(place: &Place, args: &[&str]) -> Finished {
 fn a_database_is_made_by_the_grammar_and_again_from_its_log() {
     let place = Place::new();
     let build = "build highway --backend grammar -o a";
+    let stopped = taxonomy(&place, &[build, "--max-calls 1 --json"]).with_code(0).json();
+    assert_eq!(stopped, serde_json::json!({"database": null, "calls": 1, "stopped": true}));
     let cut = taxonomy(&place, &[build, "--max-calls 50"]);
     cut.with_code(0).saying(&["stopped after 50 calls"]);
     assert!(!place.path().join("a/taxonomy.toml").exists());
@@ -159,22 +161,25 @@ fn facts_and_words_are_checked_against_each_other() {
         let added = format!("{shipped}\n[[utterance]]\ntopic = \"ascend\"\n{entry}\n");
         place.write("mine.toml", &added)
     };
-    // What the domain does not tell is refused, whether it was written or is what the words presuppose.
-    for (entry, says) in [
-        (
-            "text = \"Moon up, climb.\"\nfacts = [\"moon_up\"]",
-            "\"Moon up, climb.\" presupposes `moon_up`, which the domain does not tell; it tells zone_near,",
-        ),
-        ("text = \"Climb again.\"", "\"Climb again.\" presupposes `again`, which"),
-    ] {
-        let file = with(entry);
-        taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(&[says]);
-        // Who would speak in them says so too, instead of never saying that sentence.
-        for command in ["serve --describe", "eval --transcript"] {
-            let refused = place.finish(&[command, &policy(), "--words", &file]);
-            refused.with_code(WRONG_INPUT).saying(&[says]);
-        }
+    // What the domain does not tell is refused.
+    let file = with("text = \"Moon up, climb.\"\nfacts = [\"moon_up\"]");
+    let says = "\"Moon up, climb.\" presupposes `moon_up`, which the domain does not tell; it tells zone_near,";
+    taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(&[says]);
+    // Who would speak in them says so too, instead of never saying that sentence.
+    for command in ["serve --describe", "eval --transcript"] {
+        let refused = place.finish(&[command, &policy(), "--words", &file]);
+        refused.with_code(WRONG_INPUT).saying(&[says]);
     }
+    // What no world remembers is listed, and the other sentences are of use.
+    let file = with("text = \"Climb again.\"");
+    let listed = taxonomy(&place, &["validate", &file]).with_code(0).stdout;
+    let says = "topic `ascend`, \"Climb again.\": it is never said, because it presupposes `again`, which the";
+    assert!(listed.contains(says), "{listed}");
+    taxonomy(&place, &["validate --strict", &file]).with_code(FAILED);
+    place.finish(&["serve --describe", &policy(), "--words", &file]).with_code(0);
+    let spoken = place.finish(&["eval --transcript --episodes 20", &policy(), "--words", &file]);
+    let spoken = spoken.with_code(0).stdout;
+    assert!(!spoken.contains("Climb again"), "{spoken}");
     // Words without their facts are listed.
     for (entry, says) in [
         (
@@ -289,6 +294,21 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
     taxonomy(&place, &["report highway --set settings.theta=60"])
         .with_code(WRONG_INPUT)
         .saying(&["--log is missing"]);
+    // What is an option is not blamed on the plan, and one that nobody heeds is told.
+    let shipped = fs::read_to_string(data("lander/plan.toml")).unwrap();
+    let own =
+        place.write("grid.toml", &shipped.replace("domain = \"lander\"", "domain = \"grid\""));
+    for (args, says) in [
+        (
+            "--backend authored",
+            "--annotations is missing: none come with `grid`, only with highway",
+        ),
+        ("--backend http --model m --url http://h --tries 0", "--tries is 0; allowed: 1 to 10"),
+        ("--backend grammar --annotations a.txt", "--annotations is for --backend authored"),
+        ("--backend authored --fidelity paper", "--fidelity is for --backend http; leave it out"),
+    ] {
+        build(&format!("{own} {args}")).saying(&[says]);
+    }
     place.write("annotations.txt", "# ascend two 4\n");
     build("lander --backend authored --annotations annotations.txt").saying(&["line 1"]);
 }

@@ -1,4 +1,4 @@
-//! The voice of a notifier at work, through the program: what is played, a cut, and helpers that are missing, hang or talk rubbish.
+//! The voice of a notifier at work, through the program: what is played, a cut, and helpers that are missing, end or talk rubbish.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -189,8 +189,8 @@ fn a_voice_that_cannot_be_had_is_one_sentence() {
 }
 
 #[test]
-fn a_helper_that_hangs_or_talks_rubbish_gives_estimated_times() {
-    for helper in ["pipe:cat > /dev/null", "pipe:while read line; do echo rubbish; done"] {
+fn a_helper_that_ends_or_talks_rubbish_gives_estimated_times() {
+    for helper in ["pipe:read line", "pipe:while read line; do echo rubbish; done"] {
         let place = Place::new();
         let notifier = serve(&place, &["--voice", helper]);
         let told = notifier.stderr();
@@ -269,6 +269,27 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
         "{say}"
     );
     assert_eq!(say["end"].as_f64().unwrap(), 0.5 * n as f64 - 0.1, "{say}");
+}
+
+#[test]
+fn where_sound_cannot_be_written_nobody_speaks() {
+    let place = Place::new();
+    place.write("file", "");
+    fs::create_dir(place.file("mine")).unwrap();
+    place.write("mine/sound.ogg", "my own");
+    for (output, told) in [
+        ("file/x", "cannot make file/x"),
+        ("mine", "mine holds sound.ogg already, which is left as it is: choose another -o"),
+    ] {
+        let mut command = place.program(&["taxonomy speak lander -o", output]);
+        command.args(["--voice", "pipe:touch asked; read line"]);
+        place.start_with(command).finish(PATIENCE).with_code(WRONG_INPUT).saying(&[told]);
+        assert!(!place.path().join("asked").exists(), "the helper was started");
+    }
+    let mut command = place.program(&["taxonomy speak lander -o new"]);
+    command.args(["--voice", "pipe:touch asked; read line"]);
+    place.start_with(command).finish(PATIENCE).with_code(WRONG_INPUT);
+    assert!(place.path().join("asked").exists() && !place.path().join("new").exists());
 }
 
 #[test]

@@ -214,7 +214,8 @@ impl Config {
         let evaluation = DeTable::parse(registry.evaluation_world(domain.as_str()));
         let mut evaluation = evaluation.map_err(ConfigError::of)?.into_inner();
         if let Some(DeValue::Table(changes)) = changes.map(toml::Spanned::into_inner) {
-            layers.overlay(&mut evaluation, changes)?;
+            let world = sections.get("world").and_then(|world| world.get_ref().as_table());
+            layers.overlay(&mut evaluation, changes, world)?;
         }
         let evaluated = if evaluation.is_empty() {
             task.spec.clone()
@@ -222,7 +223,7 @@ impl Config {
             let mut sections = sections;
             let world = sections.get_mut("world").map(toml::Spanned::get_mut);
             if let Some(DeValue::Table(world)) = world {
-                layers.overlay(world, evaluation)?;
+                layers.overlay(world, evaluation, None)?;
             }
             read(sections)?.spec
         };

@@ -25,6 +25,8 @@ use crate::overrides::Override;
 const STRIDE: usize = 1 << 40;
 /// The one table inside a section that is a section itself: `[evaluation.world]`.
 const SUBSECTION: &str = "world";
+/// The section that [`SUBSECTION`] is in.
+const EVALUATION: &str = "evaluation";
 /// The table inside a section whose keys are a user's own, and no choices: `world.env`.
 const OPEN: &str = "env";
 /// The key that names what a file starts from.
@@ -120,7 +122,8 @@ pub(crate) struct Layers<'a> {
 impl<'a> Layers<'a> {
     /// Lays every layer over those before it: sections are merged key by key, everything else is replaced.
     ///
-    /// Inside a section a table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole.
+    /// Inside a section a table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole. What
+    /// changes for the evaluation is a choice where the same table of the world has one key.
     /// Refuses what is not TOML, a number that no setting can have, and a list in place of a section.
     pub(crate) fn merge(layers: &'a mut [Layer]) -> Result<Self, ConfigError> {
         let mut merged = Self { layers: Vec::new(), table: DeTable::new() };
@@ -133,8 +136,11 @@ impl<'a> Layers<'a> {
             layer.whole = whole;
             let layer: &'a Layer = layer;
             merged.layers.push(layer);
+            let world = merged.table.get(SUBSECTION).cloned();
+            let beside = beside_evaluation(world);
+            let place = OverlayPlace { is_root: true, is_open: false, beside: Some(&beside) };
             let placed = placed_table(layer.parse()?, "", layer, i * STRIDE);
-            let laid = placed.and_then(|table| overlay(&mut merged.table, table, true));
+            let laid = placed.and_then(|table| overlay(&mut merged.table, table, place));
             laid.map_err(|(span, message)| merged.refuse(span, &message))?;
         }
         merged.table.remove(BASE);
@@ -162,13 +168,15 @@ impl<'a> Layers<'a> {
         Some(Override { value, ..change.clone() })
     }
 
-    /// Lays one part of the result over another; refuses a list in place of a section.
+    /// Lays one part of the result over another; refuses a list in place of a section. Both are changes of what lies beside
+    /// them, if that is given.
     pub(crate) fn overlay(
         &self,
         base: &mut DeTable<'a>,
         over: DeTable<'a>,
+        beside: Option<&DeTable<'a>>,
     ) -> Result<(), ConfigError> {
-        let laid = overlay(base, over, false);
+        let laid = overlay(base, over, OverlayPlace { is_root: false, is_open: false, beside });
         laid.map_err(|(span, message)| self.refuse(span, &message))
     }
 
@@ -242,18 +250,60 @@ fn shortened(message: &str) -> String {
     }
 }
 
-fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Result<(), Refused> {
+/// Where one table is laid over another.
+#[derive(Clone, Copy, Debug)]
+struct OverlayPlace<'t, 'a> {
+    is_root: bool,
+    /// Whether its keys, and those of the tables in it, are a user's own.
+    is_open: bool,
+    /// The whole table of which both are changes, if there is one: how many keys these have tells nothing.
+    beside: Option<&'t DeTable<'a>>,
+}
+
+impl OverlayPlace<'_, '_> {
+    /// Returns the place of a table that has this name here.
+    fn below(self, name: &str) -> Self {
+        let beside = self.beside.and_then(|beside| beside.get(name)?.get_ref().as_table());
+        Self { is_root: false, is_open: self.is_open || name == OPEN, beside }
+    }
+
+    /// Returns whether a table here that lies over another stands for another choice than it.
+    fn is_other_choice(self, below: &DeTable<'_>, above: &DeTable<'_>) -> bool {
+        let may_choose = !self.is_open && self.beside.is_none_or(|beside| beside.len() == 1);
+        let is_other = below.keys().next() != above.keys().next();
+        may_choose && below.len() == 1 && above.len() == 1 && is_other
+    }
+}
+
+/// Puts the world that is trained in where its changes for the evaluation lie.
+fn beside_evaluation(world: Option<Spanned<DeValue<'_>>>) -> DeTable<'_> {
+    let mut table = DeTable::new();
+    if let Some(world) = world {
+        let section = DeTable::from_iter([(Spanned::new(0..0, SUBSECTION.into()), world)]);
+        let section = Spanned::new(0..0, DeValue::Table(section));
+        table.insert(Spanned::new(0..0, EVALUATION.into()), section);
+    }
+    table
+}
+
+fn overlay<'a>(
+    base: &mut DeTable<'a>,
+    over: DeTable<'a>,
+    place: OverlayPlace<'_, 'a>,
+) -> Result<(), Refused> {
+    let is_root = place.is_root;
     for (key, value) in over {
         let (name, span) = (key.get_ref().clone(), value.span());
         let is_table = value.get_ref().is_table();
+        let inside = place.below(&name);
         match (base.get_mut(name.as_ref()).map(Spanned::get_mut), value.into_inner()) {
             (Some(DeValue::Table(below)), DeValue::Table(above))
                 if is_root
                     || name == SUBSECTION
                     || name == OPEN
-                    || !is_other_choice(below, &above) =>
+                    || !inside.is_other_choice(below, &above) =>
             {
-                overlay(below, above, false)?;
+                overlay(below, above, inside)?;
                 // An error of the merged section as a whole is blamed on the text that wrote to it last.
                 let merged = DeValue::Table(std::mem::take(below));
                 drop(base.insert(key, Spanned::new(span, merged)));
@@ -268,10 +318,6 @@ fn overlay<'a>(base: &mut DeTable<'a>, over: DeTable<'a>, is_root: bool) -> Resu
         }
     }
     Ok(())
-}
-
-fn is_other_choice(below: &DeTable<'_>, above: &DeTable<'_>) -> bool {
-    below.len() == 1 && above.len() == 1 && below.keys().next() != above.keys().next()
 }
 
 /// Moves every position of a table by the layer's, makes its whole numbers such, and checks what no type would.

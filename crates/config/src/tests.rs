@@ -609,6 +609,40 @@ fn a_domain_of_ones_own_starts_from_general_defaults() {
     assert_eq!(again.table["world"]["width"].as_integer(), Some(3));
 }
 
+#[test]
+fn two_keys_of_one_table_are_two_choices_only_where_the_table_is_one() {
+    let mut catalog = Catalog::built_in();
+    let text =
+        "domain = \"mine\"\n[world]\nwind = { fixed = 2 }\nego = { speed = 1, braking = 2 }\n";
+    catalog.add("mine", text);
+    let registry = leadtime_worlds::builtin().with("mine", |_settings| {
+        Ok(Box::new(CartPole::new(&CartPoleSettings { max_steps: 20 })?))
+    });
+    let load = |text: &str, set: &[&str]| {
+        let file = Some(Layer::text("mine.toml", format!("domain = \"mine\"\n{text}")));
+        let set = set.iter().map(|text| Override::parse(text).unwrap()).collect();
+        let source = ConfigSource { file, set, ..ConfigSource::default() };
+        Config::load(&source, &catalog, &registry).unwrap().table
+    };
+    let ego: Table = "speed = 3\nbraking = 4".parse().unwrap();
+    let set = ["evaluation.world.ego.speed=3", "evaluation.world.ego.braking=4"];
+    let file = "[evaluation.world.ego]\nspeed = 3";
+    for table in [load("", &set), load(file, &set[1..])] {
+        assert_eq!(table["evaluation"]["world"]["ego"].as_table(), Some(&ego));
+    }
+    let wind = ["evaluation.world.wind.fixed=3", "evaluation.world.wind.uniform=4"];
+    let uniform: Table = "uniform = 4".parse().unwrap();
+    assert_eq!(load("", &wind)["evaluation"]["world"]["wind"].as_table(), Some(&uniform));
+    // Below `env` every key is its user's own.
+    let env = load("", &["world.env.a.speed=3", "world.env.a.braking=4"]);
+    assert_eq!(env["world"]["env"]["a"].as_table(), Some(&ego));
+    // One that is dropped would not be refused either.
+    let set = ["evaluation.world.ego.braking=100", "evaluation.world.ego.speed=20"];
+    for n_set in [1, 2] {
+        refused("base = \"highway\"", &set[..n_set], &["braking"]);
+    }
+}
+
 /// What others start from has names of its own, and a domain may have one of them.
 #[test]
 fn a_domain_may_be_called_as_a_base_is() {

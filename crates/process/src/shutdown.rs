@@ -21,6 +21,7 @@ use std::thread;
 use std::time::Duration;
 
 use leadtime_runs::supervise::GRACE;
+use tokio::runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
@@ -136,6 +137,30 @@ pub fn watch(who: Watch, end_now: fn()) -> io::Result<CancellationToken> {
         }
     });
     Ok(token)
+}
+
+/// Ends a process at SIGTERM and SIGHUP that has nothing to finish; with a log file, SIGHUP reopens it instead. `end_now` ends
+/// the process. For what does not [`watch`], and outside the async runtime.
+///
+/// # Errors
+///
+/// If the system refuses a handler or a thread.
+pub fn end_at_once(end_now: fn()) -> io::Result<()> {
+    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    let entered = runtime.enter();
+    let mut terminate = signal(SignalKind::terminate())?;
+    let ends_with_terminal = !ignores_hangup() && !log_file::reopen_on_hangup()?;
+    let mut hangup = ends_with_terminal.then(|| signal(SignalKind::hangup())).transpose()?;
+    drop(entered);
+    let waiting = async move {
+        tokio::select! {
+            _ = terminate.recv() => {}
+            () = received(hangup.as_mut()) => {}
+        }
+        end_now();
+    };
+    thread::Builder::new().name("signals".to_owned()).spawn(move || runtime.block_on(waiting))?;
+    Ok(())
 }
 
 /// Tells whether this process was started to outlive its terminal, as `nohup` does.

@@ -109,7 +109,7 @@ impl WorkingPolicy {
         if let Some(taxonomy) = &taxonomy {
             let about = taxonomy.expect_topics(session.topics());
             about.map_err(|_other| UnfitPolicy::NoWords(domain.to_owned()))?;
-            // A sentence that presupposes anything else would never be said.
+            // A sentence that presupposes anything else would never be said, and is most often a slip of the pen.
             let told: Vec<&str> = known_facts.iter().map(|fact| fact.name).collect();
             taxonomy.expect_facts(&told)?;
         }

@@ -55,6 +55,25 @@ pub fn check(taxonomy: &Taxonomy, wanted: usize) -> Vec<Finding> {
     findings
 }
 
+/// Lists the sentences that are never said, because the domain does not tell a fact that they presuppose; `told` are the
+/// names of those that it does.
+pub fn check_facts(taxonomy: &Taxonomy, told: &[&str]) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    for topic in taxonomy.topics() {
+        for utterance in topic.utterances() {
+            let mut names = taxonomy.fact_names(utterance.facts);
+            if let Some(fact) = names.find(|name| !told.contains(name)) {
+                let text = &utterance.text;
+                let says = format!(
+                    ", \"{text}\": it is never said, because it presupposes `{fact}`, which the domain does not tell"
+                );
+                findings.push(Finding { topic: topic.name().to_owned(), says });
+            }
+        }
+    }
+    findings
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -37,7 +37,7 @@ pub mod timing;
 pub mod utterance;
 pub mod words;
 
-pub use check::{Finding, check};
+pub use check::{Finding, check, check_facts};
 pub use database::{DatabaseHeader, Taxonomy, Topic};
 pub use error::TaxonomyError;
 pub use facts::{FactSet, MAX_FACTS};

@@ -33,6 +33,8 @@ const MAX_LINE: u64 = 65_536;
 const MAX_SECONDS: usize = 60;
 /// The rates that a helper may have, in samples per second.
 const RATES: std::ops::RangeInclusive<u32> = 4_000..=96_000;
+/// How long a helper that was just started may take for its first sentence: it may have a model to load. Tests hang for less.
+const START: Duration = Duration::from_secs(if cfg!(test) { 4 } else { 30 });
 /// How long a helper that reads or writes no more may take to end.
 const ENDS_WITHIN: Duration = Duration::from_millis(200);
 
@@ -41,6 +43,8 @@ const ENDS_WITHIN: Duration = Duration::from_millis(200);
 pub(crate) struct Helper {
     command: String,
     running: Option<RunningHelper>,
+    /// It had all the time that a start may take, and answered nothing: it gets no such time again.
+    started_in_vain: bool,
 }
 
 #[derive(Debug)]
@@ -73,7 +77,7 @@ struct HelperAnswer {
 
 impl Helper {
     pub(crate) fn new(command: &str) -> Self {
-        Self { command: command.to_owned(), running: None }
+        Self { command: command.to_owned(), running: None, started_in_vain: false }
     }
 
     fn start(&self) -> Result<RunningHelper, VoiceError> {
@@ -164,16 +168,18 @@ impl Speaker for Helper {
     }
 
     fn say(&mut self, text: &str) -> Result<Result<SpokenSentence, String>, VoiceError> {
-        let mut running = match self.running.take() {
-            Some(running) => running,
-            None => self.start()?,
+        let (mut running, is_new) = match self.running.take() {
+            Some(running) => (running, false),
+            None => (self.start()?, true),
         };
+        let patience = if is_new && !self.started_in_vain { START } else { SENTENCE };
         let line = json!({"say": text}).to_string() + "\n";
         let written = running.input.write_all(line.as_bytes());
-        let told = match running.answers.recv_timeout(SENTENCE) {
+        let told = match running.answers.recv_timeout(patience) {
             Ok(answer) => answer,
             Err(RecvTimeoutError::Timeout) => {
-                Err(format!("the helper took more than {} s", SENTENCE.as_secs()))
+                self.started_in_vain = is_new;
+                Err(format!("the helper took more than {} s", patience.as_secs()))
             }
             Err(RecvTimeoutError::Disconnected) => Err("the helper ended".to_owned()),
         };

@@ -48,6 +48,14 @@ fn a_helper_that_answers_is_heard() {
 }
 
 #[test]
+fn a_helper_may_take_its_time_to_start() {
+    let command = r#"sleep 2.2; while read line; do echo '{"rate":8000,"samples":800}';
+        head -c 1600 /dev/zero | tr '\0' '\7'; done"#;
+    let book = spoken_by(command, &["Up.", "Go up."]).unwrap();
+    assert!(["Up.", "Go up."].iter().all(|text| book.get(text).unwrap().sound.is_some()));
+}
+
+#[test]
 fn a_helper_that_hangs_ends_or_talks_rubbish_gives_times_in_proportion() {
     for command in ["cat > /dev/null", "read line", "while read line; do echo rubbish; done"] {
         let book =

@@ -13,7 +13,7 @@ pub const INDEX: &str = "voice.json";
 /// Its sound as it was made.
 pub const WAV: &str = "sound.wav";
 /// Its sound, compressed; it counts if both are there.
-const OGG: &str = "sound.ogg";
+pub const OGG: &str = "sound.ogg";
 
 /// Reads a directory.
 ///

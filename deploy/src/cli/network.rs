@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use leadtime_certs::IssueRequest;
 
-use super::duration;
+use super::{TOO_LONG, duration};
 
 /// How a process shows who it is.
 #[derive(Clone, Debug, Default, Args)]
@@ -154,9 +154,10 @@ pub(super) fn duration_or_days(text: &str) -> Result<Duration, String> {
     let days = text.strip_suffix('d').and_then(|days| days.trim().parse::<u32>().ok());
     match days {
         Some(days) => Ok(Duration::from_hours(24 * u64::from(days))),
-        None => {
-            duration(text).map_err(|_other| "write a number with its unit: 30d or 12h".to_owned())
-        }
+        None => duration(text).map_err(|why| {
+            let unspecific = "write a number with its unit: 30d or 12h".to_owned();
+            if why == TOO_LONG { why } else { unspecific }
+        }),
     }
 }
 

@@ -75,9 +75,9 @@ pub(crate) struct BackendArgs {
     /// Environment variable that holds the key for `http`, sent as bearer token and never logged.
     #[arg(long, value_name = "VARIABLE")]
     pub api_key_env: Option<String>,
-    /// What may be claimed of what the model for `http` writes.
-    #[arg(long, value_enum, default_value = "local")]
-    pub fidelity: Claim,
+    /// What may be claimed of what the model for `http` writes (default: `local`).
+    #[arg(long, value_enum)]
+    pub fidelity: Option<Claim>,
     /// How long to wait for an answer over `http`.
     #[arg(long, value_name = "DURATION", default_value = "2m", value_parser = duration)]
     pub timeout: Duration,

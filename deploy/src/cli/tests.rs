@@ -78,6 +78,11 @@ fn ranges_and_durations_read_as_people_write_them() {
     assert!(["5..5", "5", "7..1000008"].iter().all(|text| number_range(text).is_err()));
     assert_eq!(duration("2m"), Ok(Duration::from_mins(2)));
     assert!(["-1s", "6"].iter().all(|text| duration(text).is_err()));
+    assert_eq!(duration("87600h"), Ok(Duration::from_hours(87_600)));
+    for too_long in ["87601h", "9223372036854775807s"] {
+        assert_eq!(duration(too_long), Err(TOO_LONG.to_owned()));
+        assert_eq!(stop_after(too_long), Err(TOO_LONG.to_owned()));
+    }
     assert_eq!([n_steps("1e6"), n_steps("512")], [Ok(1_000_000), Ok(512)]);
     assert!(["1.5", "0", "-1", "many"].iter().all(|text| n_steps(text).is_err()));
 }

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::cli::{Cli, Command, PilotCommand, TaxonomyCommand, Verbosity};
 use crate::exit::{Blame as _, ExitCode, Failure};
-use crate::{log, output, targets, threads};
+use crate::{ending, log, output, targets, threads};
 
 /// Carries out one command.
 pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
@@ -28,6 +28,9 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
     };
     log::start(level, &logs)?;
     threads::check()?;
+    if !watches(&command) {
+        ending::at_once().blame(ExitCode::Failed)?;
+    }
     let options = verbosity.options().iter().map(OsString::from);
     let options: Vec<OsString> = options.chain(logs.options()).collect();
     let options = options.as_slice();
@@ -80,6 +83,25 @@ pub(crate) fn dispatch(tasks: &Tasks, cli: Cli) -> Result<(), Failure> {
             Ok(())
         }
     }
+}
+
+/// Returns whether a command has something to finish when it is asked to end, and sees to that itself.
+fn watches(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::Smoke(_)
+            | Command::Up(_)
+            | Command::Race(_)
+            | Command::Learner(_)
+            | Command::Actor(_)
+            | Command::Watch(_)
+            | Command::Router(_)
+            | Command::Serve(_)
+            | Command::Drive(_)
+            | Command::Record(_)
+            | Command::Replay(_)
+            | Command::Compare(_)
+    )
 }
 
 /// Runs a command that waits for several things at once.

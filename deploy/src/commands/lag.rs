@@ -51,14 +51,15 @@ pub(super) async fn choose(
         output::note(&format!("Trying learner.lag = {lag} for {TRIAL:?}"));
         let mut changes = vec![
             Override::new("learner.lag", lag),
-            Override::new("run.directory", folder.path().to_string_lossy().into_owned()),
             Override::new("run.name", format!("lag-{lag}")),
         ];
         if !args.listen.is_empty() {
             // The others join the run, and not its trials.
             changes.push(Override::new("run.actors_min", 1));
         }
-        let source = args.source.changed(&changes);
+        let mut source = args.source.changed(&changes);
+        // Whatever else names a directory of runs, the trials are nobody's runs.
+        source.runs = Some(folder.path().to_owned());
         let trial = source.load(tasks, None).blame(ExitCode::WrongInput)?;
         let what = Launch {
             fork: fork.as_deref(),

@@ -104,10 +104,12 @@ impl Http {
             } else {
                 "http://HOST:PORT/v1 (https:// if built with the feature `https`)"
             };
-            return Err(PipelineError::plan("url", settings.url, allowed));
+            let url = settings.url;
+            return Err(PipelineError::Unusable(format!("--url is {url}; allowed: {allowed}")));
         }
         if !(1..=10).contains(&settings.tries) {
-            return Err(PipelineError::plan("tries", settings.tries, "1 to 10"));
+            let tries = settings.tries;
+            return Err(PipelineError::Unusable(format!("--tries is {tries}; allowed: 1 to 10")));
         }
         let config = ureq::Agent::config_builder()
             .timeout_global(Some(settings.timeout))

@@ -98,5 +98,5 @@ fn nobody_there_is_said_in_one_sentence() {
 #[test]
 fn an_address_that_cannot_be_is_named() {
     let error = Http::new(HttpSettings::new("localhost:8080", "m")).unwrap_err().to_string();
-    assert!(error.starts_with("`url` of the plan is localhost:8080; allowed: http://"), "{error}");
+    assert!(error.starts_with("--url is localhost:8080; allowed: http://"), "{error}");
 }

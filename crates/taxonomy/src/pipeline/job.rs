@@ -135,7 +135,14 @@ fn generator(plan: &DatabasePlan, backend: &Backend) -> Result<Box<dyn Model>, P
     Ok(match backend {
         Backend::Authored(Some(path)) => Box::new(Annotator::parse(&read(path)?, plan)?),
         Backend::Authored(None) => {
-            Box::new(Annotator::parse(source(&plan.domain)?.annotations, plan)?)
+            let shipped = source(&plan.domain).map_err(|_unknown| {
+                let (domain, known) = (&plan.domain, SOURCES.map(|source| source.domain));
+                PipelineError::Unusable(format!(
+                    "--annotations is missing: none come with `{domain}`, only with {}",
+                    known.join(", ")
+                ))
+            })?;
+            Box::new(Annotator::parse(shipped.annotations, plan)?)
         }
         Backend::Grammar => Box::new(Grammar::new(plan)),
         Backend::Http(settings) => Box::new(Http::new(settings.clone())?),
@@ -150,7 +157,7 @@ pub(super) fn replay(
     path: &Path,
     log: &str,
 ) -> Result<(Built, LogHeader), PipelineError> {
-    let mut log = CallLog::read(path, log, None)?;
+    let mut log = CallLog::read(path, log)?;
     let header = log.header.clone();
     let header = header.ok_or_else(|| not_in_log("who was asked: the log is empty"))?;
     let absent = |id: &str| LoggedBackend { id: id.to_owned(), fidelity: header.fidelity };

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,9 @@ use serde::{Deserialize, Serialize};
 use super::backend::{Call, CallStage, Input, Reply};
 use super::error::PipelineError;
 use crate::utterance::Fidelity;
+
+/// How every log begins.
+const BEGINNING: &[u8] = b"{\"schema\":";
 
 /// The first line: for whom, and who was asked.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -35,8 +38,9 @@ pub struct LogHeader {
 
 impl fmt::Display for LogHeader {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { domain, generator, rater, embedder, .. } = self;
-        write!(f, "{domain} with {generator}, {rater} and {embedder}")
+        let Self { domain, fidelity, generator, rater, embedder, .. } = self;
+        let fidelity = fidelity.name();
+        write!(f, "{domain} ({fidelity}) with {generator}, {rater} and {embedder}")
     }
 }
 
@@ -63,21 +67,39 @@ pub(super) struct CallLog {
 }
 
 impl CallLog {
-    /// Opens a log to go on with, or begins one; an error if it is damaged before its last line.
+    /// Opens a log to go on with, or begins one; an error if it is damaged before its last line, if it is no log, or if
+    /// somebody else writes to it. What is refused stays as it is.
     pub(super) fn open(path: &Path) -> Result<Self, PipelineError> {
         let file = OpenOptions::new().append(true).create(true).open(path);
         let file = file.map_err(PipelineError::file(path))?;
+        // Two that find it empty would both begin it. A file system without locks is no reason to refuse.
+        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            return Err(PipelineError::Unusable(format!(
+                "the call log {} is written by another command; wait for its end, or give another log",
+                path.display()
+            )));
+        }
         let text = std::fs::read(path).map_err(PipelineError::file(path))?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
+        // A header may be torn as well, but what begins otherwise is somebody's own file.
+        if whole == 0 && !text.starts_with(BEGINNING) && !BEGINNING.starts_with(&text) {
+            return Err(PipelineError::Unusable(format!(
+                "{} is no call log; give another one",
+                path.display()
+            )));
+        }
+        let mut log = Self::read(path, &String::from_utf8_lossy(&text[..whole]))?;
         if whole < text.len() {
             file.set_len(whole as u64).map_err(PipelineError::file(path))?;
         }
-        Self::read(path, &String::from_utf8_lossy(&text[..whole]), Some(file))
+        log.file = Some(file);
+        Ok(log)
     }
 
-    /// Reads the text of a log; nothing is added to it without a file.
-    pub(super) fn read(path: &Path, text: &str, file: Option<File>) -> Result<Self, PipelineError> {
-        let mut log = Self { path: path.to_owned(), file, header: None, replies: BTreeMap::new() };
+    /// Reads the text of a log, to which nothing is added.
+    pub(super) fn read(path: &Path, text: &str) -> Result<Self, PipelineError> {
+        let (header, replies) = (None, BTreeMap::new());
+        let mut log = Self { path: path.to_owned(), file: None, header, replies };
         for (i, line) in text.lines().enumerate() {
             let damaged = |error: serde_json::Error| {
                 PipelineError::Unusable(format!(
@@ -100,6 +122,21 @@ impl CallLog {
     pub(super) fn claim(&mut self, header: &LogHeader) -> Result<(), PipelineError> {
         match &self.header {
             Some(found) if found == header => Ok(()),
+            Some(found) if found.schema != header.schema => Err(PipelineError::Unusable(format!(
+                "the call log {} is of form {}; this program writes form {}; give another log",
+                self.path.display(),
+                found.schema,
+                header.schema
+            ))),
+            // What was paid is of use: only the claim differs.
+            Some(found) if *found == (LogHeader { fidelity: found.fidelity, ..header.clone() }) => {
+                let (begun, asked) = (found.fidelity.name(), header.fidelity.name());
+                Err(PipelineError::Unusable(format!(
+                    "the call log {} was begun with --fidelity {begun}, not {asked}; give --fidelity {begun}, or \
+                     another log",
+                    self.path.display()
+                )))
+            }
             Some(found) => Err(PipelineError::Unusable(format!(
                 "the call log {} was made for {found}, not for {header}; give another log",
                 self.path.display()

@@ -55,12 +55,61 @@ fn damage_in_the_middle_is_refused_with_its_line() {
 }
 
 #[test]
+fn a_file_that_is_refused_stays_as_it_is() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    for (bytes, says) in [
+        (&b"{\"my\":\"only copy\"}"[..], "is no call log"),
+        (&b"\x08\0\0{}\nweights\nthe rest"[..], "line 1 of the call log"),
+        (&b"{\"schema\": 1}\ntorn"[..], "line 1 of the call log"),
+    ] {
+        std::fs::write(&path, bytes).unwrap();
+        let error = CallLog::open(&path).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
+    }
+    // A header that was torn is begun again.
+    for torn in [&b"{\"sc"[..], &b"{\"schema\":1,\"dom"[..], &b""[..]] {
+        std::fs::write(&path, torn).unwrap();
+        assert!(CallLog::open(&path).unwrap().header.is_none());
+        assert!(std::fs::read(&path).unwrap().is_empty());
+    }
+}
+
+#[test]
+fn a_log_has_one_writer() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    let first = CallLog::open(&path).unwrap();
+    let error = CallLog::open(&path).unwrap_err().to_string();
+    assert!(
+        error.ends_with("is written by another command; wait for its end, or give another log")
+    );
+    drop(first);
+    CallLog::open(&path).unwrap();
+}
+
+#[test]
 fn the_log_of_another_run_is_not_gone_on_with() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("calls.jsonl");
     fill(&path);
     let error = CallLog::open(&path).unwrap().claim(&header("another")).unwrap_err().to_string();
-    assert!(error.contains("was made for lander with writer, rater and embedder, not"), "{error}");
+    let says = "was made for lander (local) with writer, rater and embedder, not";
+    assert!(error.contains(says), "{error}");
+}
+
+#[test]
+fn a_log_of_another_claim_says_both() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    fill(&path);
+    let claim = |header| CallLog::open(&path).unwrap().claim(&header).unwrap_err().to_string();
+    let error = claim(LogHeader { fidelity: Fidelity::Paper, ..header("writer") });
+    let says = "was begun with --fidelity local, not paper; give --fidelity local, or another log";
+    assert!(error.ends_with(says), "{error}");
+    let error = claim(LogHeader { schema: 2, ..header("writer") });
+    assert!(error.ends_with("is of form 1; this program writes form 2; give another log"));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! What a database is to be made of: the domain, its topics, the phrases that say them, and the settings of a run.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
@@ -9,7 +9,7 @@ use sha2::{Digest as _, Sha256};
 
 use super::error::PipelineError;
 use crate::database::MAX_WORDS;
-use crate::facts;
+use crate::facts::{self, MAX_FACTS};
 use crate::raw;
 use crate::words;
 
@@ -189,7 +189,9 @@ impl DatabasePlan {
         let [from, to] = self.words;
         let fits = 1 <= from && from <= to && to <= MAX_WORDS;
         require(fits, "words", format!("[{from}, {to}]"), "[least, greatest] within 1 to 20")?;
+        require(!self.domain.is_empty(), "domain", "\"\"", "the name of a domain")?;
         require(!self.topic.is_empty(), "topic", "[]", "at least one topic")?;
+        self.check_ids()?;
         check_facts("presupposes", &self.presupposes)?;
         for topic in &self.topic {
             let key = |name: &str| format!("topic.{}.{name}", topic.id);
@@ -201,7 +203,20 @@ impl DatabasePlan {
                 require(given == words, &key("rated"), given, &says)?;
             }
         }
+        let tables = self.topic.iter().map(|topic| &topic.presupposes);
+        let tables = [&self.presupposes].into_iter().chain(tables);
+        let names: BTreeSet<&String> = tables.flat_map(|it| it.values().flatten()).collect();
+        let (few, given) = (names.len() <= MAX_FACTS, format!("a table of {} facts", names.len()));
+        require(few, "presupposes", given, &format!("at most {MAX_FACTS}, topics included"))?;
         self.settings.check()
+    }
+
+    /// Checks that each topic is found by its name.
+    fn check_ids(&self) -> Result<(), PipelineError> {
+        let mut seen = BTreeSet::new();
+        let wrong = self.topic.iter().find(|topic| topic.id.is_empty() || !seen.insert(&topic.id));
+        let given = wrong.map(|topic| format!("\"{}\"", topic.id)).unwrap_or_default();
+        require(wrong.is_none(), "topic.id", given, "a name that no other topic has")
     }
 
     pub(super) fn topic_idx(&self, id: &str) -> Option<usize> {

@@ -39,6 +39,25 @@ fn an_impossible_plan_is_named() {
 }
 
 #[test]
+fn a_plan_whose_database_would_be_refused_is_named_before_anything_is_paid() {
+    let cases = [
+        ("domain = \"lander\"", "domain = \"\"", "`domain` of the plan is \"\"; allowed"),
+        ("id = \"descend\"", "id = \"ascend\"", "`topic.id` of the plan is \"ascend\"; allowed"),
+        ("id = \"descend\"", "id = \"\"", "`topic.id` of the plan is \"\"; allowed: a name"),
+    ];
+    for (from, to, says) in cases {
+        assert!(PLAN.contains(from), "the plan has no {from}");
+        let error = DatabasePlan::from_toml(&PLAN.replacen(from, to, 1)).unwrap_err().to_string();
+        assert!(error.contains(says), "{error}");
+    }
+    let mut plan = job::plan("lander").unwrap();
+    let facts = (0..=MAX_FACTS).map(|i| format!("fact{i}")).collect();
+    plan.presupposes.insert("for all of them".to_owned(), facts);
+    let error = plan.check().unwrap_err().to_string();
+    assert!(error.contains("`presupposes` of the plan is a table of "), "{error}");
+}
+
+#[test]
 fn a_plan_that_differs_has_another_hash() {
     let plan = job::plan("lander").unwrap();
     let mut other = plan.clone();

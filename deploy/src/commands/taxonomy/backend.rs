@@ -11,24 +11,37 @@ use leadtime_taxonomy::pipeline::job::Backend;
 use crate::cli::{BackendArgs, BackendName, Claim};
 use crate::exit::Failure;
 
-/// Returns who writes and rates.
+/// Returns who writes and rates; refuses what only another one would heed.
 pub(super) fn backend(args: &BackendArgs) -> Result<Backend, Failure> {
+    let (authored, http) = (BackendName::Authored, BackendName::Http);
+    for (option, is_given, who, name) in [
+        ("--annotations", args.annotations.is_some(), authored, "authored"),
+        ("--url", args.url.is_some(), http, "http"),
+        ("--model", args.model.is_some(), http, "http"),
+        ("--api-key-env", args.api_key_env.is_some(), http, "http"),
+        ("--fidelity", args.fidelity.is_some(), http, "http"),
+    ] {
+        if is_given && args.backend != Some(who) {
+            let told = format!("{option} is for --backend {name}; leave it out");
+            return Err(Failure::input(told));
+        }
+    }
     match args.backend {
         Some(BackendName::Authored) => Ok(Backend::Authored(args.annotations.clone())),
         Some(BackendName::Grammar) => Ok(Backend::Grammar),
-        Some(BackendName::Http) => Ok(Backend::Http(http(args)?)),
+        Some(BackendName::Http) => Ok(Backend::Http(http_settings(args)?)),
         None => Ok(Backend::Replay),
     }
 }
 
-fn http(args: &BackendArgs) -> Result<HttpSettings, Failure> {
+fn http_settings(args: &BackendArgs) -> Result<HttpSettings, Failure> {
     let text = |value: &Option<String>| value.clone().unwrap_or_default();
     let mut settings = HttpSettings::new(&text(&args.url), &text(&args.model));
     if let Some(variable) = &args.api_key_env {
         let missing = |error| Failure::input(format!("--api-key-env {variable}: {error}"));
         settings.api_key = Some(env::var(variable).map_err(missing)?);
     }
-    settings.fidelity = match args.fidelity {
+    settings.fidelity = match args.fidelity.unwrap_or_default() {
         Claim::Paper => Fidelity::Paper,
         Claim::Local => Fidelity::Local,
     };

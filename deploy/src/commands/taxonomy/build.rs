@@ -35,8 +35,12 @@ pub(in crate::commands) fn run(args: &TaxonomyBuildArgs) -> Result<(), Failure> 
     tracing::info!(domain = %plan.domain, log = %job.log.display(), "making words");
     let (built, header) = match job::run(&plan, job) {
         Ok(made) => made,
-        Err(stopped @ PipelineError::BudgetSpent { .. }) => {
-            output::say(&stopped.to_string());
+        Err(PipelineError::BudgetSpent { calls }) => {
+            output::say(&PipelineError::BudgetSpent { calls }.to_string());
+            // A script has to tell it from a database that was made.
+            if args.json {
+                output::json(&json!({"database": null, "calls": calls, "stopped": true}));
+            }
             return Ok(());
         }
         Err(error) => return Err(source::failure(&error)),

@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use leadtime_proto::TaskSpec;
 use leadtime_runs::Tasks;
 use leadtime_taxonomy::pipeline::job::{self, Backend, BuildJob, Format};
-use leadtime_taxonomy::{Cell, Finding, Taxonomy, Topic, Utterance, check};
+use leadtime_taxonomy::{Cell, Finding, Taxonomy, Topic, Utterance, check, check_facts};
 use serde_json::json;
 
 use super::source;
@@ -99,7 +99,9 @@ pub(in crate::commands) fn validate(
     let told = told.blame(ExitCode::WrongInput)?;
     let mut findings = check(&taxonomy, args.wanted);
     findings.extend(job::check_words(&taxonomy));
+    findings.extend(told.iter().flat_map(|told| check_facts(&taxonomy, told)));
     let findings: Vec<String> = findings.iter().map(Finding::to_string).collect();
+    let told = told.unwrap_or_default();
     let unused: Vec<&str> = told.into_iter().filter(|fact| !names(&taxonomy, fact)).collect();
     let header = taxonomy.header();
     let n_kept: usize = taxonomy.topics().iter().map(|topic| topic.utterances().len()).sum();
@@ -136,16 +138,16 @@ fn names(taxonomy: &Taxonomy, fact: &str) -> bool {
 }
 
 /// Makes sure that a database of a domain that the program knows speaks of its topics and presupposes what it tells; returns
-/// the names of that.
-fn fits(tasks: &Tasks, taxonomy: &Taxonomy) -> anyhow::Result<Vec<&'static str>> {
+/// the names of that; `None` if it does not know the domain.
+fn fits(tasks: &Tasks, taxonomy: &Taxonomy) -> anyhow::Result<Option<Vec<&'static str>>> {
     let domain = taxonomy.header().domain.clone();
     let task = TaskSpec { domain, settings: "{}".to_owned() };
     let topics = tasks.topics(&task);
     if topics.is_empty() {
-        return Ok(Vec::new());
+        return Ok(None);
     }
     taxonomy.expect_topics(&topics)?;
     let told: Vec<&str> = tasks.facts(&task).iter().map(|fact| fact.name).collect();
     taxonomy.expect_facts(&told)?;
-    Ok(told)
+    Ok(Some(told))
 }
