@@ -749,6 +749,7 @@ fn reference(schedule: Schedule, n_envs: usize, n_updates: usize) -> Vec<Trained
 
 #[test]
 fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
+    let mut n_compared = 0;
     for seed in 0..N_RUNS {
         let mut world = World::new(seed).run();
         let (schedule, n_updates) = (world.spec.schedule, world.trained.len());
@@ -763,6 +764,8 @@ fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
         if schedule.is_deterministic() && world.n_lost_snapshots == 0 {
             let expected = reference(schedule, world.saved.0.places.len(), n_updates);
             assert_eq!(world.trained, expected, "seed {seed}");
+            n_compared += 1;
         }
     }
+    assert!(n_compared >= N_RUNS / 4, "only {n_compared} of {N_RUNS} could be compared");
 }

@@ -106,7 +106,7 @@ fn an_actor_killed_and_replaced_changes_nothing() {
     wait_for_updates(&place.run("r"), 5);
     victim.kill();
     let replacement = actor(&place, "c");
-    finish(learner, [survivor]);
+    finish(learner, [survivor]).saying(&["actor left: a"]);
     replacement.finish(PATIENCE);
     assert_eq!(digest(&place), undisturbed());
 }
@@ -363,6 +363,12 @@ fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
     first.finish(10 * SECOND).with_code(130);
     assert!(asked.elapsed() > 2 * SECOND, "no update was under way");
     helper.finish(PATIENCE);
+    assert_newest_checkpoint_is_of_the_end(&place);
+}
+
+/// Fails unless the last update that was made was saved.
+#[track_caller]
+fn assert_newest_checkpoint_is_of_the_end(place: &Place) {
     let newest = checkpoints(&place.run("r")).pop().expect("the end writes a checkpoint");
     let expected = format!("{:012}.checkpoint", updates(&place.run("r")));
     assert!(newest.ends_with(&expected), "{newest:?}, not {expected}");
@@ -380,6 +386,7 @@ fn an_interrupted_learner_leaves_a_checkpoint_within_five_seconds() {
     first.finish(5 * SECOND).with_code(130);
     helper.finish(PATIENCE);
     assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");
+    assert_newest_checkpoint_is_of_the_end(&place);
     let straight = Place::new();
     for place in [&place, &straight] {
         finish(learner(place, total), [actor(place, "b")]);
