@@ -29,7 +29,7 @@ use leadtime_trace::{Timed, TraceArrow};
 use serde_json::json;
 use tokio::time::{Interval, MissedTickBehavior, interval};
 use tokio_util::sync::CancellationToken;
-use tracing::debug;
+use tracing::{debug, warn};
 
 use crate::bulletin::{Bulletin, RosterHead, roster};
 use crate::checkpoint::{CheckpointError, CheckpointStore};
@@ -657,10 +657,11 @@ impl RunLoop {
         };
         self.coordinator.stop_everyone(reason);
         self.act();
-        self.farewell(events).await?;
+        let farewell = self.farewell(events).await;
         // After the farewell: until then the update under way may still end, and its rollouts are trained on.
         self.coordinator.close();
         self.save_end(stop).await?;
+        farewell?;
         // The evaluations come after what was trained is safe: they may take long, and may be cut short.
         let health = self.health();
         if let (RunEnd::Finished, Some(evaluations), Some(_)) =
@@ -690,7 +691,7 @@ impl RunLoop {
         self.farewell(events).await.unwrap_or_else(|error| debug!(%error, "farewell failed"));
         if !matches!(error, Error::Checkpoint(_)) {
             self.coordinator.close();
-            self.save_end(stop).await.unwrap_or_else(|error| debug!(%error, "end not saved"));
+            self.save_end(stop).await.unwrap_or_else(|error| warn!(%error, "the end is not saved"));
         }
     }
 

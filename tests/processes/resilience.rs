@@ -371,7 +371,7 @@ fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
 fn assert_newest_checkpoint_is_of_the_end(place: &Place) {
     let newest = checkpoints(&place.run("r")).pop().expect("the end writes a checkpoint");
     let expected = format!("{:012}.checkpoint", updates(&place.run("r")));
-    assert!(newest.ends_with(&expected), "{newest:?}, not {expected}");
+    assert!(newest.ends_with(&expected), "{}, not {expected}", newest.display());
 }
 
 #[test]

@@ -60,6 +60,8 @@ const HELLO_WAIT: Duration = Duration::from_secs(10);
 /// How long a relay may take to answer; after that the learner is asked. It has to pull the weights itself, over a line that may be
 /// slow: given up before its own pull is over, every actor of the region would pull them over that line.
 const RELAY_TIMEOUT: Duration = ask::PULL_TIMEOUT.saturating_add(Duration::from_secs(1));
+/// A relay that has no weights after this long is left alone like one that does not answer.
+const RELAY_PATIENCE: Duration = Duration::from_secs(5);
 /// How long a relay that did not answer is left alone.
 const RELAY_PAUSE: Duration = Duration::from_secs(30);
 
@@ -263,7 +265,7 @@ impl ActorLink {
             return None;
         }
         let key = Key::RelayedWeights(&entered.run, region, &entered.domain);
-        let session = self.session();
+        let (session, asked) = (self.session(), Instant::now());
         let pull = ask::pull(&session, key, version, sha256, RELAY_TIMEOUT);
         let error = match pull.await {
             Ok(weights) => {
@@ -274,7 +276,8 @@ impl ActorLink {
             }
             Err(error) => error,
         };
-        if matches!(error, Error::NoAnswer { .. }) {
+        // A relay that cannot reach the learner says so, late: its own pull has its time as well.
+        if matches!(error, Error::NoAnswer { .. }) || asked.elapsed() >= RELAY_PATIENCE {
             if lock(rests_until).replace(Instant::now() + RELAY_PAUSE).is_none() {
                 warn!(
                     "no relay of region `{region}` answers in time, so weights come from the learner itself; \

@@ -37,7 +37,8 @@ use crate::sink::{RunSink, held_out_sentence};
 const DEFAULT_ADDRESS: &str = "127.0.0.1:7447";
 /// What helps after a divergence.
 const DIVERGED: &str = "the run goes on from its last good update with --name and a smaller \
-                        --change learner.learning_rate=...";
+                        --change learner.learning_rate=...; if it diverges at once again, remove \
+                        the newest of its checkpoints first";
 
 pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure> {
     let watched = if args.supervised { Watch::SignalsAndStdin } else { Watch::Signals };
