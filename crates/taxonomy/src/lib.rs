@@ -41,7 +41,7 @@ pub use check::{Finding, check};
 pub use database::{DatabaseHeader, Taxonomy, Topic};
 pub use error::TaxonomyError;
 pub use facts::{FactSet, MAX_FACTS};
-pub use retrieve::{Loss, Request, Retrieved};
+pub use retrieve::{Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;
 pub use timing::Pace;
