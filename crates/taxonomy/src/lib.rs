@@ -33,7 +33,6 @@ mod raw;
 pub mod retrieve;
 pub mod rotation;
 pub mod shipped;
-pub mod timing;
 pub mod utterance;
 pub mod words;
 
@@ -44,5 +43,4 @@ pub use facts::{FactSet, MAX_FACTS};
 pub use retrieve::{Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;
-pub use timing::Pace;
 pub use utterance::{Cell, Fidelity, SpanKind, Utterance, WordSpan};
