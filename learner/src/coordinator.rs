@@ -691,7 +691,7 @@ impl Coordinator {
                 limit: sender.limit.0,
                 refused: sender.causes().clone(),
                 silent_s: n_quiet_ticks as f64 * TICK.as_secs_f64(),
-                incarnation: format!("{:016x}", key.1.0),
+                incarnation: key.1.hex(),
                 id: key.0,
             }
         });

@@ -326,7 +326,7 @@ impl Patterns {
 
 /// Writes a key with `own` in the place of the name that the rule is for, and `*` in those of all others.
 fn pattern(key: impl fmt::Display, own: &str) -> String {
-    let start = format!("{:016x}", Incarnation::default().0);
+    let start = Incarnation::default().hex();
     let chunk = |chunk: &str| match chunk {
         ACTOR | CLIENT => own.to_owned(),
         RUN | DOMAIN | REGION | SERVICE => "*".to_owned(),

@@ -119,8 +119,7 @@ pub(crate) fn parse_alive(key: &str) -> Option<LiveAlive> {
         [service, client, ALIVE, digits] => (service, Some(ClientName::new(client).ok()?), digits),
         _ => return None,
     };
-    let start = u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 16)?;
-    let (service, incarnation) = (ServiceName::new(service).ok()?, Incarnation(start));
+    let (service, incarnation) = (ServiceName::new(service).ok()?, Incarnation::from_hex(digits)?);
     Some(LiveAlive { service, client, incarnation })
 }
 
