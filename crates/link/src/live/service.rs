@@ -126,7 +126,7 @@ impl LiveServiceLink {
     ///
     /// [`Error::Network`] if the network cannot be asked.
     pub async fn others(&self, own: Incarnation) -> Result<Vec<Incarnation>> {
-        let present = super::client::present(&self.session, LiveKey::Services).await?;
+        let present = super::client::present(&self.session).await?;
         let same = present.into_iter().filter(|(service, _)| *service == self.service);
         Ok(same.map(|(_, start)| start).filter(|start| *start != own).collect())
     }
