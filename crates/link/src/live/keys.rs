@@ -7,7 +7,7 @@ use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use crate::{Error, Result};
 
 /// What every key of a notifier at work begins with. The `1` is the layout of the keys.
-pub(crate) const LIVE_ROOT: &str = "leadtime/live/1";
+pub const LIVE_ROOT: &str = "leadtime/live/1";
 /// The part of a key that no client can be called.
 const ALIVE: &str = "alive";
 /// The last part of the keys at which a notifier is asked.
