@@ -33,6 +33,8 @@ mod raw;
 pub mod retrieve;
 pub mod rotation;
 pub mod shipped;
+#[cfg(test)]
+mod test_support;
 pub mod utterance;
 pub mod words;
 

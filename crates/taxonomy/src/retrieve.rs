@@ -127,16 +127,14 @@ mod tests {
     use leadtime_numerics::Pcg64;
 
     use super::*;
+    use crate::test_support::header;
     use crate::{Rotation, words};
 
     /// Writes a database of some topics: sentences, each on a topic, in a cell, with some of the facts `f0` to `f3` by
     /// bits.
     fn database(topics: &[&str], sentences: &[(usize, Cell, u8)]) -> Taxonomy {
         use std::fmt::Write as _;
-        let mut text = format!(
-            "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
-             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = {topics:?}\nconfig = \"\"\n"
-        );
+        let mut text = header(topics);
         for (i, &(topic, Cell { comprehension: k, conveyance: l }, bits)) in
             sentences.iter().enumerate()
         {
