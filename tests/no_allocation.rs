@@ -23,7 +23,7 @@ use leadtime_proto::{
 use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
 use leadtime_serve::{LiveSession, ObservationBytes, SayTo, SessionPlan, WorkingPolicy};
 use leadtime_sims::{End, StepOutcome};
-use leadtime_taxonomy::{Loss, Request, Rotation, shipped};
+use leadtime_taxonomy::{Request, Rotation, shipped};
 use leadtime_voice::{VoiceChoice, prepare};
 use stats_alloc::{INSTRUMENTED_SYSTEM, Stats, StatsAlloc};
 
@@ -156,7 +156,7 @@ fn saying_allocates_nothing(domain: &str) {
             for cell in words.feasible() {
                 let (request, holding) =
                     (Request { topic, cell }, words.facts_named(told.iter().copied()));
-                let found = words.retrieve_true(request, &Loss::default(), holding);
+                let found = words.retrieve_true(request, holding);
                 let found = found.expect("there is such a topic");
                 assert!(found.and_then(|found| rotation.next(&found)).is_some());
                 meter.mark();

@@ -20,6 +20,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use leadtime_link::RUN_IS_ENDING;
 use leadtime_proto::message::{Assignment, Control, Credit, EnvAssignment, Hello};
 use leadtime_proto::{
     ActorId, CheckedRollout, EnvId, Epoch, Header, Incarnation, PolicyVersion, Refusal,
@@ -127,8 +128,8 @@ pub enum HelloRefusal {
          restart it"
     )]
     TooManyLost,
-    /// The run is ending: there is nothing left to do.
-    #[error("the run is ending: nothing is left to do")]
+    /// The run is ending: there is nothing left to do. An actor knows it by this sentence.
+    #[error("{RUN_IS_ENDING}")]
     Closing,
 }
 
@@ -696,7 +697,7 @@ impl Coordinator {
                 limit: sender.limit.0,
                 refused: sender.causes().clone(),
                 silent_s: n_quiet_ticks as f64 * TICK.as_secs_f64(),
-                incarnation: format!("{:016x}", key.1.0),
+                incarnation: key.1.hex(),
                 id: key.0,
             }
         });

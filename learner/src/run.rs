@@ -21,7 +21,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use leadtime_link::{LearnerEvent, LearnerLink, RUN_IS_ENDING};
+use leadtime_link::{LearnerEvent, LearnerLink};
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use leadtime_proto::message::{HelloReply, Welcome};
@@ -342,9 +342,6 @@ impl RunLoop {
                         resend_from,
                     })),
                     Err(HelloRefusal::Taken) => HelloReply::Taken,
-                    Err(HelloRefusal::Closing) => {
-                        HelloReply::Refused { reason: RUN_IS_ENDING.to_owned() }
-                    }
                     Err(refusal) => HelloReply::Refused { reason: refusal.to_string() },
                 };
                 if let Err(error) = reply.reply(&answer) {
@@ -745,11 +742,6 @@ mod tests {
     use tokio::time::interval_at;
 
     use super::*;
-
-    #[test]
-    fn an_actor_knows_by_the_sentence_that_the_run_is_ending() {
-        assert_eq!(HelloRefusal::Closing.to_string(), RUN_IS_ENDING);
-    }
 
     #[tokio::test]
     async fn a_flood_from_the_network_does_not_stop_the_clock() {

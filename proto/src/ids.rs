@@ -55,6 +55,32 @@ counter! {
     Incarnation(u64)
 }
 
+impl Incarnation {
+    /// Returns the number as 16 hexadecimal digits, as keys and messages have it.
+    ///
+    /// # Example
+    ///
+    /// ```
+    /// use leadtime_proto::Incarnation;
+    ///
+    /// assert_eq!(Incarnation(0xa7).hex(), "00000000000000a7");
+    /// assert_eq!(Incarnation::from_hex("00000000000000a7"), Some(Incarnation(0xa7)));
+    /// assert_eq!(Incarnation::from_hex("+0000000000000a7"), None);
+    /// assert_eq!(Incarnation::from_hex("a7"), None);
+    /// ```
+    pub fn hex(self) -> String {
+        format!("{:016x}", self.0)
+    }
+
+    /// Reads 16 hexadecimal digits; `None` of anything else.
+    pub fn from_hex(text: &str) -> Option<Self> {
+        // A number might have a sign, too.
+        let is_digits = text.len() == 16 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let number = u64::from_str_radix(text, 16).ok().filter(|_| is_digits)?;
+        Some(Self(number))
+    }
+}
+
 /// How many versions a rollout's behaviour policy lies behind the learner's policy that trains on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct Staleness(pub u64);

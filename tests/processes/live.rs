@@ -45,7 +45,7 @@ impl Client {
 
     /// Asks for a session; returns the answer, or the sentence that says no.
     fn open(&self, more: &Value) -> Result<Value, String> {
-        let start = format!("{:016x}", self.start.0);
+        let start = self.start.hex();
         let own = json!({"seconds_per_step": STEP, "incarnation": start});
         match self.runtime.block_on(self.port.ask(question(&[&own, more]))) {
             Ok(answer) => Ok(serde_json::from_slice(&answer).unwrap()),

@@ -128,7 +128,8 @@ fn a_killed_recorder_loses_no_message_before_its_last_second_and_the_same_is_sai
 /// Writes a recording again, where one silence that was put as raw bytes is the end of something.
 fn write_with_another_raw_event(place: &Place, from: &str, to: &str) {
     let read = RecordingFile::read(&*fs::read(place.path().join(from)).unwrap()).unwrap();
-    let mut changed = RecordingWriter::new(Vec::new(), "a test").unwrap();
+    let mut bytes = Vec::new();
+    let mut changed = RecordingWriter::new(&mut bytes, "a test").unwrap();
     let mut n_changed = 0;
     for client in &read.clients {
         for message in &client.messages {
@@ -147,7 +148,9 @@ fn write_with_another_raw_event(place: &Place, from: &str, to: &str) {
         }
     }
     assert_eq!(n_changed, 1, "there is silence in some step");
-    fs::write(place.path().join(to), changed.into_written().unwrap()).unwrap();
+    changed.finish().unwrap();
+    drop(changed);
+    fs::write(place.path().join(to), bytes).unwrap();
 }
 
 #[test]
@@ -198,12 +201,11 @@ fn another_word_in_a_recording_is_found() {
     let paced = "replay r.mcap --speed 1";
     assert!(place.finish(&[paced]).with_code(0).stdout.contains(" s  "), "{paced}");
     place.finish(&[paced, "--json"]).with_code(0).json();
-    let path = place.path().join("r.mcap");
-    let whole = fs::read(&path).unwrap();
     // One sentence is another, in a file that is sound.
-    let read = RecordingFile::read(&*whole).unwrap();
-    let mut changed = RecordingWriter::new(Vec::new(), "a test").unwrap();
-    let mut same = RecordingWriter::new(Vec::new(), "a test").unwrap();
+    let read = RecordingFile::read(&*fs::read(place.path().join("r.mcap")).unwrap()).unwrap();
+    let (mut other, mut whole) = (Vec::new(), Vec::new());
+    let mut changed = RecordingWriter::new(&mut other, "a test").unwrap();
+    let mut same = RecordingWriter::new(&mut whole, "a test").unwrap();
     let mut n_changed = 0;
     for client in &read.clients {
         for message in &client.messages {
@@ -222,7 +224,9 @@ fn another_word_in_a_recording_is_found() {
         }
     }
     assert_eq!(n_changed, 1, "there is silence in some step");
-    fs::write(place.path().join("other.mcap"), changed.into_written().unwrap()).unwrap();
+    changed.finish().unwrap();
+    drop(changed);
+    fs::write(place.path().join("other.mcap"), other).unwrap();
     let found = place.finish(&["replay other.mcap"]).with_code(FAILED);
     assert!(found.stdout.contains("the first difference: observation "), "{}", found.stdout);
     let line = |who: &str| {
@@ -234,7 +238,8 @@ fn another_word_in_a_recording_is_found() {
     found.saying(&["in 1 session, something else is said than was recorded"]);
 
     // A file that was cut is read as far as it goes; one that is damaged up to there.
-    let whole = same.into_written().unwrap();
+    same.finish().unwrap();
+    drop(same);
     fs::write(place.path().join("cut.mcap"), &whole[..whole.len() * 2 / 3]).unwrap();
     place.finish(&["replay cut.mcap"]).with_code(0).saying(&["ends in the middle"]);
     fs::write(place.path().join("start.mcap"), &whole[..8]).unwrap();

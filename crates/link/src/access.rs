@@ -79,15 +79,9 @@ impl AccessList {
         for (role, names) in &names {
             let rules = rules_of(*role);
             list.allow(role.as_str(), names, &rules);
-            if *role == Role::Actor {
-                for name in names {
-                    list.allow(&format!("actor {name}"), &[name], &rules_of_one_actor(name));
-                }
-            }
-            if *role == Role::Robot {
-                for name in names {
-                    list.allow(&format!("robot {name}"), &[name], &rules_of_one_robot(name));
-                }
+            for name in names {
+                let subject = format!("{} {name}", role.as_str());
+                list.allow(&subject, &[name], &rules_of_one(*role, name));
             }
         }
         (!list.subjects.is_empty()).then(|| Self(list.finish()))
@@ -249,13 +243,8 @@ impl Patterns {
         }
     }
 
-    /// Writes a key with `actor` in the actor's place.
-    fn of(key: Key<'_>, actor: &str) -> String {
-        pattern(key, actor)
-    }
-
     fn any(key: Key<'_>) -> String {
-        Self::of(key, "*")
+        pattern(key, "*")
     }
 
     fn hello(&self) -> String {
@@ -287,23 +276,23 @@ impl Patterns {
 
     fn alive(&self, actor: &str) -> String {
         let member = Member::Actor(self.actor.clone());
-        Self::of(Key::Alive(&self.run, &member, Incarnation::default()), actor)
+        pattern(Key::Alive(&self.run, &member, Incarnation::default()), actor)
     }
 
     fn orders(&self, actor: &str) -> String {
-        Self::of(Key::Control(&self.run, &self.actor), actor)
+        pattern(Key::Control(&self.run, &self.actor), actor)
     }
 
     fn rollouts(&self, actor: &str) -> String {
-        Self::of(Key::Rollouts(&self.run, &self.domain, &self.actor), actor)
+        pattern(Key::Rollouts(&self.run, &self.domain, &self.actor), actor)
     }
 
     fn credit(&self, actor: &str) -> String {
-        Self::of(Key::Credit(&self.run, &self.actor), actor)
+        pattern(Key::Credit(&self.run, &self.actor), actor)
     }
 
     fn metrics(&self, actor: &str) -> String {
-        Self::of(Key::Metrics(&self.run, &Member::Actor(self.actor.clone())), actor)
+        pattern(Key::Metrics(&self.run, &Member::Actor(self.actor.clone())), actor)
     }
 
     fn learner_metrics(&self) -> String {
@@ -326,7 +315,7 @@ impl Patterns {
 
 /// Writes a key with `own` in the place of the name that the rule is for, and `*` in those of all others.
 fn pattern(key: impl fmt::Display, own: &str) -> String {
-    let start = format!("{:016x}", Incarnation::default().0);
+    let start = Incarnation::default().hex();
     let chunk = |chunk: &str| match chunk {
         ACTOR | CLIENT => own.to_owned(),
         RUN | DOMAIN | REGION | SERVICE => "*".to_owned(),
@@ -521,6 +510,15 @@ fn observer(keys: &Patterns, is_recorder: bool) -> Vec<AccessRule> {
         rule("out", &["reply", "declare_queryable"], asked()),
         rule("out", &["liveliness_token"], seen()),
     ]
+}
+
+/// Returns what a process of a role may do under its own name; most may do nothing but what everybody of their role may.
+fn rules_of_one(role: Role, name: &str) -> Vec<AccessRule> {
+    match role {
+        Role::Actor => rules_of_one_actor(name),
+        Role::Robot => rules_of_one_robot(name),
+        _ => Vec::new(),
+    }
 }
 
 /// Returns what an actor may do under its own name.

@@ -106,12 +106,39 @@ fn refuse(query: &Query, reason: String) -> zenoh::Result<()> {
     query.reply_err(reason).encoding(Encoding::TEXT_PLAIN).wait()
 }
 
+/// A question whose answer is owed; dropped, it ends without one.
+#[derive(Debug)]
+pub(crate) struct OwedAnswer {
+    query: Option<Query>,
+    answers: Answers,
+}
+
+impl OwedAnswer {
+    pub(crate) fn new(query: Query, answers: &Answers) -> Self {
+        Self { query: Some(query), answers: answers.clone() }
+    }
+
+    /// Hands the answer over.
+    pub(crate) fn give(mut self, reply: impl FnOnce(Query) -> PendingReply) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(reply(query));
+        }
+    }
+}
+
+impl Drop for OwedAnswer {
+    fn drop(&mut self) {
+        if let Some(query) = self.query.take() {
+            self.answers.give(PendingReply::Nothing(query));
+        }
+    }
+}
+
 /// A question and the way to its answer. Giving one never waits; dropping this ends the question without an answer, and
 /// the asker tries again or gives up.
 #[derive(Debug)]
 pub struct Responder<T> {
-    query: Option<Query>,
-    answers: Answers,
+    owed: OwedAnswer,
     schema: Schema,
     /// Shared with who asks.
     key: Arc<PeerKey>,
@@ -160,9 +187,9 @@ impl<T: Serialize> Responder<T> {
         schema: Schema,
         question: &ProvedMessage<Q>,
     ) -> Self {
-        let (query, answers) = (Some(query), answers.clone());
+        let owed = OwedAnswer::new(query, answers);
         let (key, number) = (Arc::clone(&question.key), question.header.sequence);
-        Self { query, answers, schema, key, number, answer: PhantomData }
+        Self { owed, schema, key, number, answer: PhantomData }
     }
 
     /// Gives the answer.
@@ -170,19 +197,9 @@ impl<T: Serialize> Responder<T> {
     /// # Errors
     ///
     /// [`crate::Error::Codec`] if it cannot be encoded.
-    pub fn reply(mut self, answer: &T) -> Result<()> {
+    pub fn reply(self, answer: &T) -> Result<()> {
         let (header, payload) = wire::seal(self.schema, &self.key, self.number, answer)?;
-        if let Some(query) = self.query.take() {
-            self.answers.give(PendingReply::Message(query, header, payload.into()));
-        }
+        self.owed.give(|query| PendingReply::Message(query, header, payload.into()));
         Ok(())
-    }
-}
-
-impl<T> Drop for Responder<T> {
-    fn drop(&mut self) {
-        if let Some(query) = self.query.take() {
-            self.answers.give(PendingReply::Nothing(query));
-        }
     }
 }

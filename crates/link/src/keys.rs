@@ -168,9 +168,8 @@ pub struct Alive {
 /// Reads a key of presence, `None` if the key is not one of these.
 pub fn parse_alive(key: &str) -> Option<Alive> {
     let [run, "alive", role, id, digits] = chunks(key)[..] else { return None };
-    let start = u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 16)?;
     let (run, member) = (RunName::new(run).ok()?, Member::parse(role, id)?);
-    Some(Alive { run, member, incarnation: Incarnation(start) })
+    Some(Alive { run, member, incarnation: Incarnation::from_hex(digits)? })
 }
 
 /// Reads the sender from a key of rollouts, `None` if the key is not one of these.

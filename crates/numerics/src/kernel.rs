@@ -288,7 +288,7 @@ impl Panels {
         Arch::new().dispatch(ByPanel(Multiply { panels: self, a, m, start, activation, out }));
     }
 
-    /// Computes what [`Panels::multiply`] computes, of a left operand by panels.
+    /// Computes what [`Panels::multiply`] computes without an activation, of a left operand by panels.
     ///
     /// # Shapes
     ///
@@ -297,13 +297,8 @@ impl Panels {
     /// # Panics
     ///
     /// If the shapes do not hold.
-    pub fn multiply_to_rows(
-        &self,
-        a: &Self,
-        start: &[f32],
-        activation: Activation,
-        out: &mut [f32],
-    ) {
+    pub fn multiply_to_rows(&self, a: &Self, start: &[f32], out: &mut [f32]) {
+        let activation = Activation::Linear;
         let m = a.depth;
         assert_eq!(a.n_columns, self.depth, "`a` must be [{m}, {}]", self.depth);
         assert_eq!(out.len(), m * self.n_columns, "`out` must be [{m}, {}]", self.n_columns);
@@ -834,9 +829,10 @@ mod tests {
             by_panels.copy_row(i, &mut row);
             assert_eq!(row, expected);
         }
-        let mut to_rows = vec![0.0; m * n];
-        weights.multiply_to_rows(&left, &start, Activation::Tanh, &mut to_rows);
-        assert_eq!(to_rows, by_rows);
+        let (mut linear, mut to_rows) = (vec![0.0; m * n], vec![0.0; m * n]);
+        weights.multiply(&a, &start, Activation::Linear, &mut linear);
+        weights.multiply_to_rows(&left, &start, &mut to_rows);
+        assert_eq!(to_rows, linear);
         let mut sums = vec![0.0; n];
         by_panels.add_rows(&mut sums);
         let expected = (0..n).map(|j| by_rows[j..].iter().step_by(n).fold(0.0, |sum, x| sum + x));

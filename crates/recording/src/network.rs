@@ -33,7 +33,7 @@ impl SessionOverNetwork {
     pub async fn open(&self, note: &SessionNote, n: usize) -> Result<Value, Error> {
         let mut question = note.question.clone();
         question["seed"] = note.answer["seed"].clone();
-        question["incarnation"] = format!("{:016x}", self.port.incarnation().0).into();
+        question["incarnation"] = self.port.incarnation().hex().into();
         // The same question would be answered with the session that is there; what differs begins anew.
         let question = question.to_string() + &" ".repeat(n);
         let answer = self.port.ask(question.into_bytes()).await.map_err(ClientError::Link)?;

@@ -1,6 +1,6 @@
 //! What a channel of a recording holds, and its schema.
 
-use leadtime_link::live::LiveTopic;
+use leadtime_link::live::{LIVE_ROOT, LiveTopic};
 
 /// What a channel of a recording holds: what is published about a client and what its session is, or about a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,12 +51,9 @@ impl RecordedTopic {
     pub(crate) fn of_key(key: &str) -> Option<(&str, Self)> {
         let (before, last) = key.rsplit_once('/')?;
         let topic = Self::of_client().find(|topic| topic.as_str() == last)?;
-        Some((before.strip_prefix(KEYS)?, topic))
+        Some((before.strip_prefix(LIVE_ROOT)?.strip_prefix('/')?, topic))
     }
 }
-
-/// What the name of every channel begins with.
-const KEYS: &str = "leadtime/live/1/";
 
 #[cfg(test)]
 mod tests {

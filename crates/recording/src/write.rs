@@ -120,16 +120,6 @@ impl<W: Write> RecordingWriter<W> {
         self.file.flush().map_err(Error::writing)
     }
 
-    /// Ends the file with its index and returns what was written to.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Write`] if the file cannot be written, with what the system reports.
-    pub fn into_written(mut self) -> Result<W, Error> {
-        self.finish()?;
-        Ok(self.file.into_inner().into_inner())
-    }
-
     /// Ends the file with its index.
     ///
     /// # Errors
@@ -154,7 +144,8 @@ mod tests {
 
     /// A recording of so many messages in chunks of ten.
     fn recording(n: u64) -> Vec<u8> {
-        let mut writer = RecordingWriter::new(Vec::new(), "a test").unwrap();
+        let mut bytes = Vec::new();
+        let mut writer = RecordingWriter::new(&mut bytes, "a test").unwrap();
         for i in 0..n {
             let json = format!("{{\"session\":\"s\",\"state\":\"silent\",\"taken\":{i}}}");
             writer.write(KEY, RecordedTopic::Live(LiveTopic::Status), i, json.as_bytes()).unwrap();
@@ -162,7 +153,9 @@ mod tests {
                 writer.flush().unwrap();
             }
         }
-        writer.into_written().unwrap()
+        writer.finish().unwrap();
+        drop(writer);
+        bytes
     }
 
     fn times(bytes: &[u8]) -> (Vec<u64>, RecordingEnd) {

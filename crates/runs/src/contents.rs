@@ -11,6 +11,8 @@ use crate::regular;
 pub(crate) const CONFIG: &str = "config.toml";
 /// The folder of its checkpoints.
 pub(crate) const CHECKPOINTS: &str = "checkpoints";
+/// The folder of its event files, which TensorBoard reads.
+pub(crate) const TENSORBOARD: &str = "tensorboard";
 
 /// Tells whether a directory is a run's, even if a file in it cannot be read.
 pub(crate) fn is_run(path: &Path) -> bool {

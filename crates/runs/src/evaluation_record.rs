@@ -8,6 +8,7 @@ use leadtime_eval::measure::{Choice, Comparison};
 use leadtime_learner::write_atomically;
 use serde::{Deserialize, Serialize};
 
+use crate::contents::TENSORBOARD;
 use crate::{LoadedPolicy, clock, regular, tensorboard};
 
 /// The file of the last evaluation in a run directory.
@@ -68,7 +69,7 @@ impl EvaluationRecord {
             Some((format!("eval/{}", measure.name), measure.interval?.estimate))
         });
         let scalars: Vec<_> = scalars.collect();
-        let directory = directory.join("tensorboard");
+        let directory = directory.join(TENSORBOARD);
         tensorboard::write_evaluation(&directory, clock::unix_seconds(), steps, &scalars)
     }
 }

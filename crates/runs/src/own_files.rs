@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::contents::{CHECKPOINTS, CONFIG};
+use crate::contents::{CHECKPOINTS, CONFIG, TENSORBOARD};
 use crate::evaluation_record::LAST_EVALUATION;
 use crate::held_out::HELD_OUT;
 use crate::journal::JOURNAL;
@@ -31,7 +31,7 @@ const FILES: [&str; 13] = [
     RACE,
 ];
 /// The folders in which everything is the run's.
-const FOLDERS: [&str; 2] = [CHECKPOINTS, "tensorboard"];
+const FOLDERS: [&str; 2] = [CHECKPOINTS, TENSORBOARD];
 
 /// Returns the directory of the run that keeps the file at a path, or would write it; `None` for any other place.
 ///
@@ -45,7 +45,7 @@ pub fn run_that_keeps(path: &Path) -> Option<PathBuf> {
 
 /// As [`run_that_keeps`], for a path without links.
 fn keeper(path: &Path) -> Option<PathBuf> {
-    let run = path.ancestors().skip(1).find(|folder| is_run(folder))?;
+    let run = path.ancestors().skip(1).find(|folder| keeps_a_run(folder))?;
     let inside = path.strip_prefix(run).ok()?;
     let first = inside.iter().next()?.to_str()?;
     let is_direct = inside.iter().nth(1).is_none();
@@ -53,7 +53,8 @@ fn keeper(path: &Path) -> Option<PathBuf> {
     is_kept.then(|| run.to_owned())
 }
 
-fn is_run(folder: &Path) -> bool {
+/// Tells whether a folder keeps a run; a folder of the record's name makes none.
+fn keeps_a_run(folder: &Path) -> bool {
     let is_begun = || folder.join(CONFIG).is_file() && folder.join(CHECKPOINTS).is_dir();
     folder.join(RECORD).is_file() || is_begun()
 }

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use crate::ForkOrigin;
 use crate::command_line::shell_argument;
-use crate::contents::{checkpoints, is_run};
+use crate::contents::{CONFIG, checkpoints, is_run};
 use crate::digest::sha256;
 use crate::directory_error::with_causes;
 use crate::find::did_you_mean_run;
@@ -26,9 +26,9 @@ pub const LAST_POLICY: &str = "policy.safetensors";
 /// File of the best policy in a run directory.
 pub const BEST_POLICY: &str = "best.safetensors";
 /// Metadata key of the task's domain.
-const DOMAIN: &str = "domain";
+const DOMAIN_KEY: &str = "domain";
 /// Metadata key of the configuration, as TOML.
-const CONFIG: &str = "config";
+const CONFIG_KEY: &str = "config";
 /// Metadata key of the optimiser iterations that made the policy.
 pub(crate) const VERSION: &str = "policy_version";
 
@@ -100,7 +100,7 @@ impl LoadedPolicy {
     ) -> Result<Self, PolicyFileError> {
         let path = find(runs, name, [BEST_POLICY, LAST_POLICY])?;
         let (bytes, metadata) = read(&path)?;
-        let Some(text) = metadata.get(CONFIG) else {
+        let Some(text) = metadata.get(CONFIG_KEY) else {
             return Err(foreign(&path, "it has no configuration in its metadata"));
         };
         let place = format!("the configuration in {}", path.display());
@@ -177,7 +177,7 @@ fn of_another(
 ) -> PolicyFileError {
     let PolicyFileError::Misfit { source, .. } = &error else { return error };
     let run = run.display();
-    let domain = metadata.get(DOMAIN).filter(|domain| *domain != config.domain.as_str());
+    let domain = metadata.get(DOMAIN_KEY).filter(|domain| *domain != config.domain.as_str());
     PolicyFileError::NoPolicy(match domain {
         Some(domain) => format!(
             "`{run}` was trained on {domain}, and the new run is of {}; --fork needs a run of the same task",
@@ -216,12 +216,12 @@ pub fn metadata(config: &Config, run: &str) -> BTreeMap<String, String> {
     let description = &config.description;
     let names = description.observation.quantities().into_iter().map(|quantity| quantity.name);
     let entries = [
-        (DOMAIN, config.domain.to_string()),
+        (DOMAIN_KEY, config.domain.to_string()),
         // Names, numbers and lists always are JSON.
         ("architecture", json!(config.policy).to_string()),
         ("observation", json!(names.collect::<Vec<_>>()).to_string()),
         ("actions", json!(description.actions).to_string()),
-        (CONFIG, config.table.to_string()),
+        (CONFIG_KEY, config.table.to_string()),
         ("run", run.to_owned()),
         ("program", format!("leadtime {}", env!("CARGO_PKG_VERSION"))),
     ];
@@ -302,7 +302,7 @@ fn made_again(path: &Path) -> String {
     if !checkpoints(directory).is_ok_and(|found| !found.is_empty()) {
         return String::new();
     }
-    let config = shell_argument(directory.join("config.toml").as_os_str());
+    let config = shell_argument(directory.join(CONFIG).as_os_str());
     format!("; remove it, and `leadtime up -c {config}` writes it again from the run's checkpoints")
 }
 

@@ -20,13 +20,14 @@ use leadtime_config::identity;
 use serde::Serialize;
 
 use crate::contents::{CHECKPOINTS, checkpoints};
+use crate::evaluation_record::LAST_EVALUATION;
 use crate::journal::JOURNAL;
 use crate::layout::{LOCK, REMOVED, SUPERVISOR_LOCK, is_left, read_config};
 use crate::record::RECORD;
 use crate::{ListedRun, RunRecord, clock, held_out, journal, policy_file, regular};
 
 /// Files whose time says when something last happened in a run.
-const SIGNS: [&str; 3] = [RECORD, JOURNAL, "eval.json"];
+const SIGNS: [&str; 3] = [RECORD, JOURNAL, LAST_EVALUATION];
 
 /// Which runs may go.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

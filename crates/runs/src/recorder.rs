@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 use toml::Table;
 use tracing::warn;
 
-use crate::contents::CONFIG;
+use crate::contents::{CONFIG, TENSORBOARD};
 use crate::journal::Journal;
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION, WEIGHTS_SHA256};
 use crate::tensorboard::EventFile;
@@ -182,7 +182,7 @@ impl RunRecorder {
     /// Returns the event file, made at the first call for steps from `first_step` on.
     fn events(&mut self, first_step: u64) -> io::Result<&mut EventFile> {
         if self.events.is_none() {
-            let directory = self.directory.join("tensorboard");
+            let directory = self.directory.join(TENSORBOARD);
             let (now, process) = (clock::unix_seconds(), std::process::id());
             let mut file = EventFile::create(&directory, now, process, first_step)?;
             file.settings(now, &self.settings)?;

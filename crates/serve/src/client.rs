@@ -95,7 +95,7 @@ impl LiveClient {
             "seconds_per_step": settings.seconds_per_step,
             "seed": settings.seed,
             "encoding": settings.form,
-            "incarnation": format!("{:016x}", settings.incarnation.0),
+            "incarnation": settings.incarnation.hex(),
         });
         let answer = port.ask(question.to_string().into_bytes()).await?;
         let answer: Value = serde_json::from_slice(&answer).map_err(ClientError::Answer)?;

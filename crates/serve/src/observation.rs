@@ -168,8 +168,8 @@ pub struct LiveObservation {
     pub head: ObservationHead,
     /// Its numbers. Shape `[obs_dim]` once it was read without an error.
     pub values: Vec<f32>,
-    /// What is the case now; `None` from a client that does not say.
-    facts: Option<()>,
+    /// The client says what is the case now: `names`.
+    has_facts: bool,
     names: FactList,
     obs_dim: usize,
 }
@@ -180,7 +180,7 @@ impl LiveObservation {
         Self {
             head: ObservationHead::default(),
             values: Vec::with_capacity(obs_dim),
-            facts: None,
+            has_facts: false,
             names: FactList {
                 text: String::with_capacity(MAX_FACTS * MAX_FACT),
                 ends: Vec::with_capacity(MAX_FACTS),
@@ -196,13 +196,13 @@ impl LiveObservation {
 
     /// Returns the facts; `None` from a client that does not say any.
     pub fn facts(&self) -> Option<&FactList> {
-        self.facts.map(|()| &self.names)
+        self.has_facts.then_some(&self.names)
     }
 
     fn clear(&mut self) {
         self.head = ObservationHead::default();
         self.values.clear();
-        self.facts = None;
+        self.has_facts = false;
         self.names.clear();
     }
 
@@ -452,7 +452,7 @@ impl<'de> Visitor<'de> for Fields<'_> {
                 FieldName::Episode => into.head.episode = map.next_value()?,
                 FieldName::End => into.head.end = map.next_value()?,
                 FieldName::Facts => {
-                    into.facts = Some(());
+                    into.has_facts = true;
                     map.next_value_seed(FactNames(&mut into.names))?;
                 }
             }

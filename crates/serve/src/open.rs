@@ -1,5 +1,6 @@
 //! What a client asks for a session with, and what it is answered.
 
+use leadtime_proto::Incarnation;
 use leadtime_proto::text::quoted;
 use leadtime_sims::{Fact, Quantity};
 use leadtime_voice::VoiceBook;
@@ -127,7 +128,7 @@ pub struct SessionPlan {
     /// The form of what is said.
     pub form: SayForm,
     /// Which start of the client asks; `None` from one that does not say.
-    pub incarnation: Option<u64>,
+    pub incarnation: Option<Incarnation>,
     /// Where observations come from.
     pub source: ObservationSource,
     /// What the client should know.
@@ -218,9 +219,7 @@ impl SessionPlan {
             return Err(wrong("words", &words, "shipped"));
         }
         let start = |text: &String| {
-            // A number might have a sign, too.
-            let is_digits = text.len() == 16 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
-            let number = u64::from_str_radix(text, 16).ok().filter(|_| is_digits);
+            let number = Incarnation::from_hex(text);
             number.ok_or_else(|| wrong("incarnation", text, "16 hexadecimal digits"))
         };
         let incarnation = asked.incarnation.as_ref().map(start).transpose()?;

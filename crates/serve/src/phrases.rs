@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use leadtime_numerics::Pcg64;
 use leadtime_sims::Message;
-use leadtime_taxonomy::{Cell, FactSet, Loss, Request, Rotation, Taxonomy};
+use leadtime_taxonomy::{Cell, FactSet, Request, Rotation, Taxonomy};
 use serde::{Deserialize, Serialize};
 
 use crate::observation::FactList;
@@ -53,7 +53,7 @@ impl PhraseBook {
         let cell = Cell::new(message.comprehension, message.conveyance);
         let request = Request { topic: message.topic, cell };
         let holding = facts.map_or(FactSet::NONE, |facts| taxonomy.facts_named(facts.iter()));
-        let found = taxonomy.retrieve_true(request, &Loss::default(), holding).ok()??;
+        let found = taxonomy.retrieve_true(request, holding).ok()??;
         let text = rotation.next(&found)?.text.as_str();
         Some(Phrase { text, stand_in: found.fallback })
     }

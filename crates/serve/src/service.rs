@@ -297,7 +297,7 @@ impl LiveService {
         let note = SessionNote {
             client: client.to_string(),
             session: registered.id.clone(),
-            start: format!("{:016x}", self.own.0),
+            start: self.own.hex(),
             question: serde_json::from_slice(&registered.question).ok()?,
             answer: serde_json::from_slice(&registered.whole).ok()?,
             policy: self.policy.origin.clone(),
@@ -312,7 +312,7 @@ impl LiveService {
         question: Vec<u8>,
     ) -> Result<Vec<u8>, OpenRefusal> {
         let plan = SessionPlan::read(&question, &self.policy, self.settings.seed)?;
-        let start = plan.incarnation.map(Incarnation);
+        let start = plan.incarnation;
         if let Some(registered) = self.open.get(client) {
             let is_same = start.is_some() && start == registered.incarnation;
             if is_same && registered.question == question {
@@ -358,7 +358,7 @@ impl LiveService {
         plan: &SessionPlan,
         robot: Option<(RobotKeys, RobotWriter)>,
     ) -> Result<Vec<u8>, OpenRefusal> {
-        let start = plan.incarnation.map(Incarnation);
+        let start = plan.incarnation;
         let place =
             robot.as_ref().map(|(keys, _)| format!("{} {:?}", keys.observations, plan.source));
         let (session, notes) = self.session(client, &question, place.as_deref(), plan.clone());

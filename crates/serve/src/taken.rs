@@ -90,7 +90,7 @@ pub(crate) struct TakenLog {
 impl TakenLog {
     /// Begins with a session in this start of the notifier; one that goes on after a restart has had a beginning that nobody hears of any more.
     pub(crate) fn new(start: Incarnation, goes_on: bool) -> Self {
-        let (start, recent) = (format!("{:016x}", start.0), VecDeque::with_capacity(N_REPEATED));
+        let (start, recent) = (start.hex(), VecDeque::with_capacity(N_REPEATED));
         Self { start, n: u64::from(goes_on), said: 0, recent, message: Vec::new() }
     }
 

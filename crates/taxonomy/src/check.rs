@@ -77,18 +77,9 @@ pub fn check_facts(taxonomy: &Taxonomy, told: &[&str]) -> Vec<Finding> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::test_support::header;
 
-    const TEXT: &str = r#"schema = 1
-domain = "road"
-fidelity = "grammar"
-generator = "g"
-rater = "r"
-embedder = "e"
-theta = 70
-words = [2, 5]
-topics = ["merge_left"]
-config = ""
-[[utterance]]
+    const SENTENCE: &str = r#"[[utterance]]
 topic = "merge_left"
 comprehension = 2
 conveyance = 4
@@ -99,7 +90,8 @@ curve = [5, 80, 85, 95]
 
     #[test]
     fn gaps_and_odd_ratings_are_listed() {
-        let taxonomy = Taxonomy::from_toml(TEXT).unwrap();
+        let text = header(&["merge_left"]) + SENTENCE;
+        let taxonomy = Taxonomy::from_toml(&text).unwrap();
         let findings: Vec<String> = check(&taxonomy, 3).iter().map(ToString::to_string).collect();
         assert_eq!(findings.len(), 11);
         assert_eq!(findings[0], "topic `merge_left` has nothing at (k, l) = (2, 2)");
@@ -109,7 +101,7 @@ curve = [5, 80, 85, 95]
             "topic `merge_left`, \"Truck ahead, merge left.\": understood at word 2, its directive ends with word 4"
         );
         assert_eq!(check(&taxonomy, 1).len(), 10);
-        let text = TEXT.replace("curve =", "facts = [\"truck_ahead\"]\ncurve =");
+        let text = text.replace("curve =", "facts = [\"truck_ahead\"]\ncurve =");
         let findings = check(&Taxonomy::from_toml(&text).unwrap(), 1);
         assert_eq!(findings.len(), 11);
         assert_eq!(

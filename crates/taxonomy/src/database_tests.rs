@@ -1,18 +1,7 @@
 //! Every defect that a database can have, and what is said about it.
 
 use super::*;
-
-const HEADER: &str = r#"schema = 1
-domain = "road"
-fidelity = "authored"
-generator = "a person"
-rater = "a person"
-embedder = "none"
-theta = 70
-words = [2, 5]
-topics = ["merge_left", "slow_down"]
-config = ""
-"#;
+use crate::test_support::header;
 
 const GOOD: &str = r#"
 [[utterance]]
@@ -32,9 +21,14 @@ spans = [["what", 0, 2]]
 curve = [45, 95]
 "#;
 
+/// Writes a database without a defect.
+fn good() -> String {
+    header(&["merge_left", "slow_down"]) + GOOD
+}
+
 #[test]
 fn a_good_file_is_read_in_the_order_of_the_domain() {
-    let taxonomy = Taxonomy::from_toml(&format!("{HEADER}{GOOD}")).unwrap();
+    let taxonomy = Taxonomy::from_toml(&good()).unwrap();
     taxonomy.expect_topics(&["merge_left", "slow_down"]).unwrap();
     let found = taxonomy.topics()[0].cell(Cell::new(4, 4));
     assert_eq!(found[0].text, "Truck ahead, merge left.");
@@ -81,7 +75,7 @@ fn what_is_wrong_with_a_file_is_named() {
              `merge_left` already",
         ),
     ];
-    let good = format!("{HEADER}{GOOD}");
+    let good = good();
     for (from, to, says) in cases {
         assert!(good.contains(from), "the test's file has no {from}");
         let error = Taxonomy::from_toml(&good.replacen(from, to, 1)).unwrap_err().to_string();
@@ -96,7 +90,7 @@ fn what_is_wrong_with_a_file_is_named() {
 #[test]
 fn what_sentences_presuppose_is_named_once_and_must_be_told() {
     let facts = "[45, 95]\nfacts = [\"wet_road\", \"car_ahead\"]";
-    let text = format!("{HEADER}{GOOD}").replacen("[45, 95]", facts, 1);
+    let text = good().replacen("[45, 95]", facts, 1);
     let taxonomy = Taxonomy::from_toml(&text).unwrap();
     assert_eq!(taxonomy.facts(), ["car_ahead", "wet_road"]);
     let [slow_down] = taxonomy.topics()[1].utterances() else { panic!("one sentence") };
@@ -114,8 +108,7 @@ fn what_sentences_presuppose_is_named_once_and_must_be_told() {
     let error = Taxonomy::from_toml(&text.replace("wet_road", "wet road")).unwrap_err().to_string();
     assert!(error.contains("`wet road` is no name of a fact; allowed: a to z, 0 to 9 and _"));
     let many: Vec<String> = (0..65).map(|i| format!("fact{i}")).collect();
-    let text =
-        format!("{HEADER}{GOOD}").replacen("[45, 95]", &format!("[45, 95]\nfacts = {many:?}"), 1);
+    let text = good().replacen("[45, 95]", &format!("[45, 95]\nfacts = {many:?}"), 1);
     let error = Taxonomy::from_toml(&text).unwrap_err().to_string();
     assert_eq!(error, "the sentences presuppose 65 facts; allowed: at most 64");
 }

@@ -33,7 +33,8 @@ mod raw;
 pub mod retrieve;
 pub mod rotation;
 pub mod shipped;
-pub mod timing;
+#[cfg(test)]
+mod test_support;
 pub mod utterance;
 pub mod words;
 
@@ -41,8 +42,7 @@ pub use check::{Finding, check, check_facts};
 pub use database::{DatabaseHeader, Taxonomy, Topic};
 pub use error::TaxonomyError;
 pub use facts::{FactSet, MAX_FACTS};
-pub use retrieve::{Loss, Request, Retrieved};
+pub use retrieve::{Request, Retrieved};
 pub use rotation::Rotation;
 pub use shipped::shipped;
-pub use timing::Pace;
 pub use utterance::{Cell, Fidelity, SpanKind, Utterance, WordSpan};

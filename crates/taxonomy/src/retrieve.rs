@@ -20,36 +20,16 @@ pub struct Request {
     pub cell: Cell,
 }
 
-/// What another cell than the one asked for costs, as seconds lost.
+/// Returns what hearing `heard` in place of `asked` costs: words weighted 3 where k' is later, 1 where it is earlier and 1/2
+/// where l' differs, all times two.
 ///
 /// A late comprehension delays the reaction, an early one takes the words that should have said why, a wrong length
 /// keeps the channel busy or the follow-through short. The ratios are ours; a study of listeners could replace them.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Loss {
-    /// Seconds per word (above 0). Default 0.3.
-    pub seconds_per_word: f64,
-    /// Weight of a word by which k' is later (at least 0). Default 3.
-    pub late: f64,
-    /// Weight of a word by which k' is earlier (at least 0). Default 1.
-    pub early: f64,
-    /// Weight of a word by which l' differs (at least 0). Default 0.5.
-    pub length: f64,
-}
-
-impl Default for Loss {
-    fn default() -> Self {
-        Self { seconds_per_word: 0.3, late: 3.0, early: 1.0, length: 0.5 }
-    }
-}
-
-impl Loss {
-    /// Computes the seconds lost by hearing `heard` in place of `asked`.
-    pub fn seconds(&self, asked: Cell, heard: Cell) -> f64 {
-        let late = f64::from(heard.comprehension.saturating_sub(asked.comprehension));
-        let early = f64::from(asked.comprehension.saturating_sub(heard.comprehension));
-        let length = f64::from(heard.conveyance.abs_diff(asked.conveyance));
-        self.seconds_per_word * (self.late * late + self.early * early + self.length * length)
-    }
+fn lost(asked: Cell, heard: Cell) -> u64 {
+    let late = heard.comprehension.saturating_sub(asked.comprehension);
+    let early = asked.comprehension.saturating_sub(heard.comprehension);
+    let length = heard.conveyance.abs_diff(asked.conveyance);
+    6 * u64::from(late) + 2 * u64::from(early) + u64::from(length)
 }
 
 /// The sentences that may be said for a request.
@@ -67,8 +47,6 @@ pub struct Retrieved<'a> {
     pub holding: FactSet,
     /// Another cell than the one asked for.
     pub fallback: bool,
-    /// What that costs, in seconds.
-    pub seconds_lost: f64,
 }
 
 impl Retrieved<'_> {
@@ -97,14 +75,14 @@ impl Taxonomy {
     ///
     /// ```
     /// use leadtime_numerics::Pcg64;
-    /// use leadtime_taxonomy::{Cell, Loss, Request, Rotation, shipped};
+    /// use leadtime_taxonomy::{Cell, Request, Rotation, shipped};
     ///
     /// let words = shipped("lander")?;
     /// let mut rotation = Rotation::new(&words, &mut Pcg64::seed_from_u64(1));
     /// let ascend = Request { topic: 0, cell: Cell::new(2, 4) };
     /// let mut say = |told: &[&str]| {
     ///     let holding = words.facts_named(told.iter().copied());
-    ///     let found = words.retrieve_true(ascend, &Loss::default(), holding)?;
+    ///     let found = words.retrieve_true(ascend, holding)?;
     ///     let sentence = found.and_then(|found| rotation.next(&found));
     ///     Ok::<_, leadtime_taxonomy::TaxonomyError>(sentence.map(|it| it.text.as_str()))
     /// };
@@ -115,7 +93,6 @@ impl Taxonomy {
     pub fn retrieve_true(
         &self,
         request: Request,
-        loss: &Loss,
         holding: FactSet,
     ) -> Result<Option<Retrieved<'_>>, TaxonomyError> {
         let topic = self.topics().get(request.topic).ok_or_else(|| {
@@ -128,10 +105,8 @@ impl Taxonomy {
         let can_be_said = |said: &[Utterance]| said.iter().any(|it| holding.includes(it.facts));
         // Cells come ordered by k, then l, so the first of the least is the one that is wanted.
         let cells = topic.cells().enumerate().filter(|(_, (_, said))| can_be_said(said));
-        let nearest = cells.min_by(|(_, (a, _)), (_, (b, _))| {
-            let (lost_a, lost_b) = (loss.seconds(request.cell, *a), loss.seconds(request.cell, *b));
-            is_other(*a).cmp(&is_other(*b)).then(lost_a.total_cmp(&lost_b))
-        });
+        let nearest =
+            cells.min_by_key(|(_, (cell, _))| (is_other(*cell), lost(request.cell, *cell)));
         Ok(nearest.map(|(cell_idx, (cell, utterances))| Retrieved {
             topic: request.topic,
             cell,
@@ -139,7 +114,6 @@ impl Taxonomy {
             utterances,
             holding,
             fallback: is_other(cell),
-            seconds_lost: loss.seconds(request.cell, cell),
         }))
     }
 }
@@ -153,16 +127,14 @@ mod tests {
     use leadtime_numerics::Pcg64;
 
     use super::*;
+    use crate::test_support::header;
     use crate::{Rotation, words};
 
     /// Writes a database of some topics: sentences, each on a topic, in a cell, with some of the facts `f0` to `f3` by
     /// bits.
     fn database(topics: &[&str], sentences: &[(usize, Cell, u8)]) -> Taxonomy {
         use std::fmt::Write as _;
-        let mut text = format!(
-            "schema = 1\ndomain = \"d\"\nfidelity = \"grammar\"\ngenerator = \"g\"\nrater = \"r\"\n\
-             embedder = \"e\"\ntheta = 70\nwords = [2, 5]\ntopics = {topics:?}\nconfig = \"\"\n"
-        );
+        let mut text = header(topics);
         for (i, &(topic, Cell { comprehension: k, conveyance: l }, bits)) in
             sentences.iter().enumerate()
         {
@@ -199,8 +171,8 @@ mod tests {
     }
 
     /// Finds the sentences for a request, whether they are true or not.
-    fn retrieve<'a>(taxonomy: &'a Taxonomy, request: Request, loss: &Loss) -> Retrieved<'a> {
-        taxonomy.retrieve_true(request, loss, FactSet::ALL).unwrap().unwrap()
+    fn retrieve(taxonomy: &Taxonomy, request: Request) -> Retrieved<'_> {
+        taxonomy.retrieve_true(request, FactSet::ALL).unwrap().unwrap()
     }
 
     fn request(topic: usize, k: u32, l: u32) -> Request {
@@ -212,35 +184,31 @@ mod tests {
         let cells = [Cell::new(2, 2), Cell::new(4, 4), Cell::new(3, 5)];
         let taxonomy = with_cells(&[(0, cells[0]), (0, cells[1]), (0, cells[2]), (1, cells[0])]);
         let find = |k, l| {
-            let found = retrieve(&taxonomy, request(0, k, l), &Loss::default());
+            let found = retrieve(&taxonomy, request(0, k, l));
             assert!(found.fallback);
-            (found.cell, found.seconds_lost)
+            found.cell
         };
-        let found = retrieve(&taxonomy, request(0, 3, 5), &Loss::default());
-        assert_eq!((found.cell, found.fallback, found.seconds_lost), (cells[2], false, 0.0));
-        // Two words long: 0.3 (2 · 0.5). Early and short would cost 0.3 (1 + 0.5), late and long 0.3 (3 + 0.5).
-        let (cell, seconds) = find(3, 3);
-        assert_eq!(cell, Cell::new(3, 5));
-        assert!((seconds - 0.3).abs() < 1e-12);
-        assert_eq!(find(2, 5).0, Cell::new(2, 2));
-        assert_eq!(find(4, 5).0, Cell::new(4, 4));
-        assert_eq!(find(5, 5).0, Cell::new(4, 4));
+        let found = retrieve(&taxonomy, request(0, 3, 5));
+        assert_eq!((found.cell, found.fallback), (cells[2], false));
+        // Two words long: 2 · 0.5. Early and short would cost 1 + 0.5, late and long 3 + 0.5.
+        assert_eq!(find(3, 3), Cell::new(3, 5));
+        assert_eq!(find(2, 5), Cell::new(2, 2));
+        assert_eq!(find(4, 5), Cell::new(4, 4));
+        assert_eq!(find(5, 5), Cell::new(4, 4));
         // Never the other topic, not even for its exact cell.
-        assert_eq!(retrieve(&taxonomy, request(1, 4, 4), &Loss::default()).cell, cells[0]);
+        assert_eq!(retrieve(&taxonomy, request(1, 4, 4)).cell, cells[0]);
         let request = request(2, 2, 2);
-        let error = taxonomy.retrieve_true(request, &Loss::default(), FactSet::ALL).unwrap_err();
+        let error = taxonomy.retrieve_true(request, FactSet::ALL).unwrap_err();
         assert_eq!(error.to_string(), "there is no topic 2; the database has 2, numbered from 0");
     }
 
     #[test]
     fn the_smaller_k_wins_among_equal_losses() {
-        let taxonomy =
-            with_cells(&[(0, Cell::new(3, 4)), (0, Cell::new(4, 5)), (1, Cell::new(2, 2))]);
-        let even = Loss { seconds_per_word: 1.0, late: 1.0, early: 1.0, length: 0.0 };
-        let found = retrieve(&taxonomy, request(0, 4, 4), &even);
-        assert_eq!(found.cell, Cell::new(4, 5));
-        let free = Loss { seconds_per_word: 1.0, late: 0.0, early: 0.0, length: 0.0 };
-        assert_eq!(retrieve(&taxonomy, request(0, 5, 5), &free).cell, Cell::new(3, 4));
+        // One word early, or two words long: both lose 2.
+        let (early, long, asked) = (Cell::new(3, 3), Cell::new(4, 5), Cell::new(4, 3));
+        assert_eq!([early, long].map(|cell| lost(asked, cell)), [2, 2]);
+        let taxonomy = with_cells(&[(0, long), (0, early), (1, Cell::new(2, 2))]);
+        assert_eq!(retrieve(&taxonomy, request(0, 4, 3)).cell, early);
     }
 
     #[test]
@@ -250,16 +218,16 @@ mod tests {
         let find = |holding: u8| {
             let holding = taxonomy.facts_named(names(holding));
             let request = Request { topic: 0, cell: asked };
-            taxonomy.retrieve_true(request, &Loss::default(), holding).unwrap().unwrap()
+            taxonomy.retrieve_true(request, holding).unwrap().unwrap()
         };
         let cells = [0, 1, 2, 3].map(|holding| find(holding).cell);
         assert_eq!(cells, [far, asked, near, asked]);
         assert_eq!([0, 1, 2, 3].map(|holding| find(holding).fallback), [true, false, true, false]);
         // Without a fact that everybody tells, the cell alone decides.
         let request = Request { topic: 0, cell: asked };
-        assert_eq!(retrieve(&taxonomy, request, &Loss::default()).cell, asked);
+        assert_eq!(retrieve(&taxonomy, request).cell, asked);
         let taxonomy = with_facts(&[(asked, 1)]);
-        let none = taxonomy.retrieve_true(request, &Loss::default(), FactSet::NONE).unwrap();
+        let none = taxonomy.retrieve_true(request, FactSet::NONE).unwrap();
         assert_eq!(none, None);
     }
 
@@ -275,12 +243,11 @@ mod tests {
             let taxonomy = with_facts(&list);
             let request = Request { topic: 0, cell: cells[asked] };
             let told = taxonomy.facts_named(names(holding));
-            let found = taxonomy.retrieve_true(request, &Loss::default(), told).unwrap();
+            let found = taxonomy.retrieve_true(request, told).unwrap();
             let is_true = |bits: u8| bits & !holding == 0;
             let sayable = list.iter().filter(|(_, bits)| is_true(*bits));
-            let lost = |cell: Cell| Loss::default().seconds(request.cell, cell);
-            let least = sayable.clone().map(|(cell, _)| lost(*cell)).min_by(f64::total_cmp);
-            prop_assert_eq!(found.map(|found| found.seconds_lost), least);
+            let least = sayable.clone().map(|(cell, _)| lost(request.cell, *cell)).min();
+            prop_assert_eq!(found.map(|found| lost(request.cell, found.cell)), least);
             let Some(found) = found else { return Ok(()) };
             let n_true = sayable.filter(|(cell, _)| *cell == found.cell).count();
             let mut rotation = Rotation::new(&taxonomy, &mut Pcg64::seed_from_u64(seed));
@@ -309,7 +276,7 @@ mod tests {
                 }
             }
             let taxonomy = with_cells(&entries);
-            let found = retrieve(&taxonomy, request(topic, k, l), &Loss::default());
+            let found = retrieve(&taxonomy, request(topic, k, l));
             prop_assert_eq!(found.topic, topic);
             prop_assert!(found.cell.comprehension <= found.cell.conveyance);
             prop_assert!(!found.utterances.is_empty());
@@ -320,11 +287,11 @@ mod tests {
             // Nothing in the topic would have lost less, and asking again gives the same.
             for &(other, cell) in &entries {
                 if other == topic {
-                    let seconds = Loss::default().seconds(Cell::new(k, l), cell);
-                    prop_assert!(found.seconds_lost <= seconds);
+                    let asked = Cell::new(k, l);
+                    prop_assert!(lost(asked, found.cell) <= lost(asked, cell));
                 }
             }
-            let again = retrieve(&taxonomy, request(topic, k, l), &Loss::default());
+            let again = retrieve(&taxonomy, request(topic, k, l));
             prop_assert_eq!(again, found);
         }
     }

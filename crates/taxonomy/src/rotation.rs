@@ -49,13 +49,13 @@ mod tests {
     use std::collections::BTreeSet;
 
     use super::*;
-    use crate::{Cell, FactSet, Loss, Request, shipped};
+    use crate::{Cell, FactSet, Request, shipped};
 
     #[test]
     fn every_sentence_has_its_turn_before_one_comes_again() {
         let taxonomy = shipped("lander").unwrap();
         let request = Request { topic: 1, cell: Cell::new(2, 4) };
-        let found = taxonomy.retrieve_true(request, &Loss::default(), FactSet::ALL);
+        let found = taxonomy.retrieve_true(request, FactSet::ALL);
         let found = found.unwrap().unwrap();
         let n = found.utterances.len();
         assert!(n >= 3);

@@ -24,22 +24,19 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (incarnation, about) = link.ask_about(&run).await?;
     let about: Value = serde_json::from_slice(&about)?;
     let started = Instant::now();
-    println!(
-        "{}",
-        json!({"at": 0.0, "event": "about", "start": format!("{:016x}", incarnation.0), "told": about})
-    );
+    println!("{}", json!({"at": 0.0, "event": "about", "start": incarnation.hex(), "told": about}));
     while let Some(event) = events.recv().await {
         let at = (started.elapsed().as_secs_f64() * 1e3).round() / 1e3;
         let line = match event {
             ObserverEvent::Metrics { member, incarnation, json } => {
                 let told: Value = serde_json::from_slice(&json)?;
-                json!({"at": at, "event": "metrics", "member": member.to_string(), "start": format!("{:016x}", incarnation.0), "told": told})
+                json!({"at": at, "event": "metrics", "member": member.to_string(), "start": incarnation.hex(), "told": told})
             }
             ObserverEvent::Joined(member, incarnation) => {
-                json!({"at": at, "event": "joined", "member": member.to_string(), "start": format!("{:016x}", incarnation.0)})
+                json!({"at": at, "event": "joined", "member": member.to_string(), "start": incarnation.hex()})
             }
             ObserverEvent::Left(member, incarnation) => {
-                json!({"at": at, "event": "left", "member": member.to_string(), "start": format!("{:016x}", incarnation.0)})
+                json!({"at": at, "event": "left", "member": member.to_string(), "start": incarnation.hex()})
             }
             ObserverEvent::Announcement { .. } => continue,
         };

@@ -70,7 +70,7 @@ impl Attachment {
         };
         let (incarnation, about) = ask_about(&self.link, &self.run).await.map_err(gone)?;
         page.with(|view, now| {
-            view.learner_joined(&hex(incarnation), now);
+            view.learner_joined(&incarnation.hex(), now);
             view.about(about, now);
         });
         let deadline = tokio::time::Instant::now() + listen;
@@ -130,10 +130,6 @@ impl Attachment {
     }
 }
 
-fn hex(incarnation: Incarnation) -> String {
-    format!("{:016x}", incarnation.0)
-}
-
 async fn ask_about(link: &ObserverLink, run: &RunName) -> Result<(Incarnation, Value), Error> {
     let (incarnation, json) = link.ask_about(run).await?;
     let about = serde_json::from_slice(&json)
@@ -161,7 +157,7 @@ fn take_in(page: &Page, event: ObserverEvent) -> bool {
     page.with(|view, now| match event {
         ObserverEvent::Metrics { member, incarnation, json } => {
             let Ok(told) = serde_json::from_slice::<Value>(&json) else { return false };
-            let incarnation = hex(incarnation);
+            let incarnation = incarnation.hex();
             match member {
                 Member::Learner => view.learner_says(&incarnation, told, now),
                 Member::Actor(id) => {
@@ -171,18 +167,18 @@ fn take_in(page: &Page, event: ObserverEvent) -> bool {
             }
         }
         ObserverEvent::Joined(Member::Learner, incarnation) => {
-            view.learner_joined(&hex(incarnation), now)
+            view.learner_joined(&incarnation.hex(), now)
         }
         ObserverEvent::Joined(Member::Actor(id), incarnation) => {
-            view.actor_joined(id.as_str(), &hex(incarnation), now);
+            view.actor_joined(id.as_str(), &incarnation.hex(), now);
             false
         }
         ObserverEvent::Left(Member::Learner, incarnation) => {
-            view.learner_left(&hex(incarnation), now);
+            view.learner_left(&incarnation.hex(), now);
             false
         }
         ObserverEvent::Left(Member::Actor(id), incarnation) => {
-            view.actor_left(id.as_str(), &hex(incarnation), now);
+            view.actor_left(id.as_str(), &incarnation.hex(), now);
             false
         }
         ObserverEvent::Announcement { .. } => false,

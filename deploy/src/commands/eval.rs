@@ -9,7 +9,6 @@ use leadtime_eval::measure::{Choice, PlaySettings, Player};
 use leadtime_eval::record_steps;
 use leadtime_runs::evaluation::{compare, evaluate_all, n_threads, record};
 use leadtime_runs::{EvaluationRecord, LoadedPolicy, RunRecord, Tasks};
-use leadtime_taxonomy::Pace;
 use serde_json::json;
 
 use super::opponent::opponents;
@@ -152,7 +151,7 @@ fn transcript(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(), Fai
         for index in 0..u64::from(args.episodes.unwrap_or(1)) {
             let (voice, seed) = (voice.as_ref(), args.acting.choosing.eval_seed);
             let played = record(tasks, config, player, voice, seed, index);
-            output::line(&played.blame(ExitCode::WrongInput)?.transcript(&Pace::default()));
+            output::line(&played.blame(ExitCode::WrongInput)?.transcript());
         }
     }
     Ok(())

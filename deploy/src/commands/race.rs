@@ -154,11 +154,9 @@ impl RaceWork<'_> {
         output::line(table.text_within(WIDTH).trim_end());
         output::line(&format!("\nWinner: {}", directory.display()));
         output::next(directory, &[EVALUATE, DRAW, REPORT]);
-        let is_unfinished = |racer: &&Racer| racer.record.is_stopped && racer.record.last.is_none();
-        let stopped = self.race.racers.iter().find(is_unfinished);
-        if let Some(racer) = stopped {
-            let (path, name) = (&racer.directory, racer.config.run.name.as_ref());
-            let name = name.map(ToString::to_string).unwrap_or_default();
+        let is_unfinished = |racer: &Racer| racer.record.is_stopped && racer.record.last.is_none();
+        if let Some(racer) = self.race.racers.iter().position(is_unfinished) {
+            let (path, name) = (&self.race.racers[racer].directory, self.name(racer));
             let words = ["up".into(), "-c".into(), path.join("config.toml").into()];
             let command = words.into_iter().chain(["--name".into(), name.into()]);
             let told = "A racer that was stopped is an ordinary run, and goes on like this:";

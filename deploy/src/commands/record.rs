@@ -71,6 +71,12 @@ pub(super) fn create(args: &RecordArgs) -> Result<NewFile, Failure> {
     file.blame(ExitCode::WrongInput)
 }
 
+/// Says how many messages a count has more than was `told`, and takes them for told; `None` if there are none.
+pub(super) fn newly(n: u64, told: &mut u64) -> Option<String> {
+    let n_new = n.saturating_sub(std::mem::replace(told, n));
+    (n_new > 0).then(|| counted(n_new, "message"))
+}
+
 /// Begins the file, which stays from now on.
 pub(super) fn begin(file: &mut NewFile) -> Result<RecordingWriter<BufWriter<File>>, Failure> {
     let program = concat!("leadtime ", env!("CARGO_PKG_VERSION"));
@@ -233,19 +239,13 @@ impl RunningRecording {
     }
 
     fn tell_dropped(&mut self) {
-        let n = self.link.n_dropped();
-        if n > self.n_dropped {
-            let n_new = counted(n - self.n_dropped, "message");
+        if let Some(n_new) = newly(self.link.n_dropped(), &mut self.n_dropped) {
             tracing::warn!("{n_new} came faster than they can be written: not recorded");
-            self.n_dropped = n;
         }
-        let n = self.recorder.n_passed_over();
-        if n > self.n_passed_over {
-            let n_new = counted(n - self.n_passed_over, "message");
+        if let Some(n_new) = newly(self.recorder.n_passed_over(), &mut self.n_passed_over) {
             tracing::warn!(
                 "{n_new} came of more clients than a recording has room for, or than it has for those that the notifier has not described: not recorded"
             );
-            self.n_passed_over = n;
         }
     }
 }

@@ -99,17 +99,11 @@ async fn record(
             }
             _ = flushes.tick() => {
                 writer.flush()?;
-                let missed = link.n_missed();
-                if missed > n_missed {
-                    let n_new = counted(missed - n_missed, "message");
+                if let Some(n_new) = super::record::newly(link.n_missed(), &mut n_missed) {
                     tracing::warn!("{n_new} came faster than they can be written: not recorded");
-                    n_missed = missed;
                 }
-                let passed_over = writer.n_passed_over();
-                if passed_over > n_passed_over {
-                    let n_new = counted(passed_over - n_passed_over, "message");
+                if let Some(n_new) = super::record::newly(writer.n_passed_over(), &mut n_passed_over) {
                     tracing::warn!("{n_new} came of more members than a file has room for: not recorded");
-                    n_passed_over = passed_over;
                 }
             }
         }

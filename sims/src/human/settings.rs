@@ -275,16 +275,19 @@ impl Default for HumanSettings {
     }
 }
 
+#[cfg(test)]
 impl HumanSettings {
     /// Returns the listener who understands and reacts in the very step in which a message starts.
-    pub fn delay_free() -> Self {
+    pub(crate) fn delay_free() -> Self {
         Self {
             reaction_delay: ReactionDelay::Fixed(0),
             comprehension: Comprehension::Immediate,
             ..Self::default()
         }
     }
+}
 
+impl HumanSettings {
     /// Checks ranges; the error names the first impossible setting.
     pub(crate) fn check(&self) -> Result<(), SettingError> {
         self.check_delay()?;

@@ -1,7 +1,5 @@
 //! The whole picture: title, world, legend, strip.
 
-use leadtime_taxonomy::Pace;
-
 use super::legend::{Legend, LegendEntry, Mark};
 use super::strip;
 use super::world_view::{WorldView, areas};
@@ -40,7 +38,7 @@ impl Spoken {
         let legend_y = world.area.bottom() + 22.0;
         let strip_y = world.area.bottom() + LEGEND_HEIGHT + legend.extra_height();
         let mut canvas = Canvas::new(id, WIDTH, strip_y + strip::HEIGHT);
-        canvas.describe(&self.transcript(&Pace::default()));
+        canvas.describe(&self.transcript());
         if is_titled {
             self.draw_title(&mut canvas);
         }

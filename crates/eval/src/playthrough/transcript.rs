@@ -10,12 +10,19 @@
 //! ```
 
 use leadtime_proto::phrase::counted;
-use leadtime_taxonomy::Pace;
 
 use super::record::Playthrough;
 use super::timeline::{Activity, topic_name};
 use super::voice::Spoken;
 use crate::measure::LoggedMessage;
+
+/// How fast sentences are spoken.
+///
+/// # Source
+///
+/// arXiv:2509.07438 takes 0.3 s per word. A speech synthesiser took 0.335 s per word over sentences of two to
+/// five words (20 sentences, three voices), people read at about 0.4.
+const SECONDS_PER_WORD: f64 = 0.3;
 
 /// One moment in which something happens; empty text where nothing does.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -32,7 +39,7 @@ impl Spoken {
     /// # Units
     ///
     /// Times are those of speech: a step is a word, whatever time the world takes it for.
-    pub fn transcript(&self, pace: &Pace) -> String {
+    pub fn transcript(&self) -> String {
         let moments = self.moments_of_change();
         let widest = |text: fn(&Moment) -> &String, title: &str| {
             let widths = moments.iter().map(|moment| text(moment).chars().count());
@@ -40,27 +47,27 @@ impl Spoken {
         };
         let hears = widest(|moment| &moment.hears, "hears");
         let understands = widest(|moment| &moment.understands, "understands");
-        let mut out = self.heading(pace);
+        let mut out = self.heading();
         let mut line = |time: &str, [first, second, third]: [&str; 3]| {
             let line = format!("{time:>8}  {first:<hears$}  {second:<understands$}  {third}");
             out.extend([line.trim_end(), "\n"]);
         };
         line("time", ["hears", "understands", "does"]);
         for moment in &moments {
-            let seconds = pace.startup_seconds + moment.step as f64 * pace.seconds_per_word;
+            let seconds = moment.step as f64 * SECONDS_PER_WORD;
             let Moment { hears, understands, does, .. } = moment;
             line(&format!("{seconds:.1} s"), [hears, understands, does]);
         }
         out + &self.stand_ins()
     }
 
-    fn heading(&self, pace: &Pace) -> String {
+    fn heading(&self) -> String {
         let Playthrough { index, seed, total_reward, .. } = &self.played;
         format!(
             "{} (episode {index} of seed {seed})\nreturn {total_reward:.1}, {} steps of a word each, {} s; {}\n",
             self.played.title(),
             self.played.n_steps(),
-            pace.seconds_per_word,
+            SECONDS_PER_WORD,
             self.n_notifications(),
         )
     }
@@ -192,17 +199,17 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
 \u{201c}Zone ahead, go, up.\u{201d} is understood and over at (4, 4); the message was at (4, 5)
 ";
         let spoken = Spoken::new(played(), sentences);
-        assert_eq!(spoken.transcript(&Pace::default()), expected);
+        assert_eq!(spoken.transcript(), expected);
     }
 
     #[test]
     fn without_sentences_words_are_numbers() {
-        let told = Spoken::from(played()).transcript(&Pace::default());
+        let told = Spoken::from(played()).transcript();
         assert!(told.contains("[shift left 2/3]  shift left, word 2 of 3"), "{told}");
         assert!(told.contains("[ascend 3/5] \u{2013}"), "{told}");
         assert!(told.contains("[descend 1/2]"), "{told}");
         let mut played = played();
         played.scenes.truncate(1);
-        assert_eq!(Spoken::from(played).transcript(&Pace::default()).lines().count(), 3);
+        assert_eq!(Spoken::from(played).transcript().lines().count(), 3);
     }
 }

@@ -8,9 +8,7 @@
 use std::fmt;
 
 use leadtime_numerics::Purpose;
-use leadtime_taxonomy::{
-    Cell, FactSet, Loss, Request, Rotation, Taxonomy, Utterance, shipped, words,
-};
+use leadtime_taxonomy::{Cell, FactSet, Request, Rotation, Taxonomy, Utterance, shipped, words};
 
 use super::record::Playthrough;
 use super::timeline::{Timeline, topic_name};
@@ -129,7 +127,7 @@ impl Voice {
                 Choosing::InTurn => FactSet::ALL,
                 Choosing::TrueInTurn => self.0.facts_named(facts.iter().copied()),
             };
-            let Some(found) = self.0.retrieve_true(request, &Loss::default(), holding)? else {
+            let Some(found) = self.0.retrieve_true(request, holding)? else {
                 return Ok(None);
             };
             let utterance = rotation.next(&found);
@@ -243,7 +241,7 @@ mod tests {
             let cells = CellTable::new(&table, &["a"], &[0]).unwrap();
             for &cell in &all {
                 let request = Request { topic: 0, cell };
-                let said = taxonomy.retrieve_true(request, &Loss::default(), FactSet::ALL);
+                let said = taxonomy.retrieve_true(request, FactSet::ALL);
                 let said = said.unwrap().unwrap().cell;
                 let Cell { comprehension, conveyance } = cell;
                 let learned = cells.nearest(Message { topic: 0, comprehension, conveyance });

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use leadtime_table::Table;
-use leadtime_taxonomy::Pace;
 use serde::{Deserialize, Serialize};
 
 use crate::figure::{BandPanel, ShareRow};
@@ -71,7 +70,7 @@ impl Picture {
             title: spoken.played.title(),
             caption: spoken.numbers(),
             svg: spoken.svg_untitled(id).text,
-            transcript: spoken.transcript(&Pace::default()),
+            transcript: spoken.transcript(),
         }
     }
 }

@@ -258,7 +258,7 @@ pub(super) async fn find(
 ) -> Result<Incarnation> {
     let (started, timeout) = (Instant::now(), settings.timeout);
     loop {
-        let present = present(&current(), LiveKey::Services).await?;
+        let present = present(&current()).await?;
         if let Some((_, start)) = present.iter().find(|(name, _)| name == service) {
             return Ok(*start);
         }
@@ -274,10 +274,8 @@ pub(super) async fn find(
 }
 
 /// Lists the notifiers that are there now.
-pub(super) async fn present(
-    session: &Session,
-    key: LiveKey<'_>,
-) -> Result<Vec<(ServiceName, Incarnation)>> {
+pub(super) async fn present(session: &Session) -> Result<Vec<(ServiceName, Incarnation)>> {
+    let key = LiveKey::Services;
     let found =
         discovery::tokens(session, key, "look for notifiers on", LOOK, MAX_SERVICES).await?;
     let alive = found.iter().filter_map(|key| parse_alive(key));

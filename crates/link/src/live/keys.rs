@@ -7,7 +7,7 @@ use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use crate::{Error, Result};
 
 /// What every key of a notifier at work begins with. The `1` is the layout of the keys.
-pub(crate) const LIVE_ROOT: &str = "leadtime/live/1";
+pub const LIVE_ROOT: &str = "leadtime/live/1";
 /// The part of a key that no client can be called.
 const ALIVE: &str = "alive";
 /// The last part of the keys at which a notifier is asked.
@@ -119,8 +119,7 @@ pub(crate) fn parse_alive(key: &str) -> Option<LiveAlive> {
         [service, client, ALIVE, digits] => (service, Some(ClientName::new(client).ok()?), digits),
         _ => return None,
     };
-    let start = u64::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 16)?;
-    let (service, incarnation) = (ServiceName::new(service).ok()?, Incarnation(start));
+    let (service, incarnation) = (ServiceName::new(service).ok()?, Incarnation::from_hex(digits)?);
     Some(LiveAlive { service, client, incarnation })
 }
 

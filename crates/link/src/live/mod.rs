@@ -38,8 +38,7 @@ mod service;
 pub use client::{ClientPort, LiveClientLink, LiveMessage};
 #[cfg(feature = "fakes")]
 pub use fakes::TakenAt;
-pub(crate) use keys::LIVE_ROOT;
-pub use keys::{LiveAlive, LiveKey, LiveTopic};
+pub use keys::{LIVE_ROOT, LiveAlive, LiveKey, LiveTopic};
 pub use port::{Arrival, ArrivalEncoding, LivePort};
 pub use recorder::{LiveRecorderLink, LiveSample, SessionAsker};
 pub use robot::RobotKeys;

@@ -14,7 +14,7 @@ use zenoh::session::Session;
 use super::keys::{LiveKey, check_name, parse_alive, parse_open, parse_session};
 use super::port::LivePort;
 use super::robot::RobotKeys;
-use crate::answer::{Answers, PendingReply};
+use crate::answer::{Answers, OwedAnswer, PendingReply};
 use crate::pubsub::{appear, take_questions, watch_tokens};
 use crate::queue::{Class, EventQueue};
 use crate::{Error, ListenSettings, Result, session};
@@ -44,32 +44,17 @@ pub enum LiveEvent {
 
 /// The way to the answer of one question; dropped, it ends the question without one.
 #[derive(Debug)]
-pub struct OpenResponder {
-    query: Option<Query>,
-    answers: Answers,
-}
+pub struct OpenResponder(OwedAnswer);
 
 impl OpenResponder {
     /// Gives the answer, JSON.
-    pub fn reply(mut self, json: Vec<u8>) {
-        if let Some(query) = self.query.take() {
-            self.answers.give(PendingReply::Json(query, json));
-        }
+    pub fn reply(self, json: Vec<u8>) {
+        self.0.give(|query| PendingReply::Json(query, json));
     }
 
     /// Says no, with a sentence.
-    pub fn refuse(mut self, sentence: String) {
-        if let Some(query) = self.query.take() {
-            self.answers.give(PendingReply::Refusal(query, sentence));
-        }
-    }
-}
-
-impl Drop for OpenResponder {
-    fn drop(&mut self) {
-        if let Some(query) = self.query.take() {
-            self.answers.give(PendingReply::Nothing(query));
-        }
+    pub fn refuse(self, sentence: String) {
+        self.0.give(|query| PendingReply::Refusal(query, sentence));
     }
 }
 
@@ -141,7 +126,7 @@ impl LiveServiceLink {
     ///
     /// [`Error::Network`] if the network cannot be asked.
     pub async fn others(&self, own: Incarnation) -> Result<Vec<Incarnation>> {
-        let present = super::client::present(&self.session, LiveKey::Services).await?;
+        let present = super::client::present(&self.session).await?;
         let same = present.into_iter().filter(|(service, _)| *service == self.service);
         Ok(same.map(|(_, start)| start).filter(|start| *start != own).collect())
     }
@@ -192,7 +177,7 @@ impl LiveServiceLink {
 fn on_question(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
     let client = parse_open(query.key_expr());
     let question = query.payload().map(|payload| payload.to_bytes().into_owned());
-    let responder = OpenResponder { query: Some(query), answers: answers.clone() };
+    let responder = OpenResponder(OwedAnswer::new(query, answers));
     let Some(client) = client else {
         return responder.refuse("the name of a client is 1 to 48 of a-z, 0-9 and `-`".to_owned());
     };
@@ -209,7 +194,7 @@ fn on_question(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) 
 
 fn on_recorder(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
     let client = parse_session(query.key_expr());
-    let responder = OpenResponder { query: Some(query), answers: answers.clone() };
+    let responder = OpenResponder(OwedAnswer::new(query, answers));
     // One that has no place is let go, which ends the question: a recorder asks again.
     if let Some(client) = client {
         drop(events.offer(LiveEvent::Describe(client, responder), Class::Request));

@@ -271,15 +271,15 @@ impl LstmWeights {
         let from_input = resize(from_input, now.gates.len());
         let (input, state) = (&self.input, &self.state);
         let seen = now.input(self.projection.is_some());
-        input.matrix.forward.multiply_to_rows(seen, &input.bias, Activation::Linear, from_input);
+        input.matrix.forward.multiply_to_rows(seen, &input.bias, from_input);
         let (hidden, gates) = (&now.hidden_before, &mut now.gates);
-        state.matrix.forward.multiply_to_rows(hidden, &state.bias, Activation::Linear, gates);
+        state.matrix.forward.multiply_to_rows(hidden, &state.bias, gates);
     }
 
     /// Goes back through the step's products: to the states before it, and to the projection.
     fn back(&self, now: &mut LstmStepMemory, d_hidden: &mut [f32]) {
         let state = &self.state.matrix.backward;
-        state.multiply_to_rows(&now.d_gates, &[], Activation::Linear, d_hidden);
+        state.multiply_to_rows(&now.d_gates, &[], d_hidden);
         if let Some(projection) = &self.projection {
             let (d_gates, d_projected) = (&now.d_gates, &mut now.d_projected);
             let input = &self.input.matrix.backward;
