@@ -31,6 +31,25 @@ if "$python" -c 'import mcap' 2>/dev/null; then
     heard=$(sed -n 's/^ *[0-9]*  \(.*\)  (.*understood after.*/\1/p' "$place/said")
     told=$(sed -n 's/^[0-9.]*  \(.*\)  (.* words)$/\1/p' "$place/read")
     [ "$heard" = "$told" ] || { echo "the recording holds something else than was heard"; exit 1; }
+    # As they are recorded: a raw event, one without words, and what is no event.
+    "$python" - "$place/raw.mcap" <<'END'
+import json
+import sys
+from mcap.writer import Writer
+with open(sys.argv[1], "wb") as file:
+    writer = Writer(file)
+    writer.start()
+    schema = writer.register_schema("leadtime.live.Say", "jsonschema", b"{}")
+    channel = writer.register_channel("say", "json", schema)
+    for i, said in enumerate([
+            {"event": "start", "topic_id": 2, "k": 1, "l": 3}, {"event": "start", "topic": "ascend", "k": 2, "l": 4}, {"x_raw": "6a756e6b"}]):
+        writer.add_message(channel, log_time=i, publish_time=i, data=json.dumps(said).encode())
+    writer.finish()
+END
+    "$python" examples/live/recording.py "$place/raw.mcap" | tee "$place/read"
+    grep -qx "0.00  2  (2, 1 of 3 words)" "$place/read"
+    grep -qx "0.00  ascend  (ascend, 2 of 4 words)" "$place/read"
+    grep -qx " *3 say" "$place/read"
 else
     echo "skipped: no package mcap for this Python"
 fi

@@ -18,8 +18,11 @@ with open(sys.argv[1], "rb") as file:
         for schema, channel, message in messages:
             counts[channel.topic] = counts.get(channel.topic, 0) + 1
             said = json.loads(message.data)
-            if schema.name == "leadtime.live.Say" and said["event"] == "start":
-                print(f"{message.log_time / 1e9:.2f}  {said['text']}  ({said['topic']}, {said['k']} of {said['l']} words)")
+            if schema.name == "leadtime.live.Say" and said.get("event") == "start":
+                # A raw event has only the number of its topic, and without words there is no text.
+                topic = said.get("topic", said.get("topic_id"))
+                told = f"({topic}, {said.get('k')} of {said.get('l')} words)"
+                print(f"{message.log_time / 1e9:.2f}  {said.get('text') or topic}  {told}")
     except McapError as error:
         print(f"it ends here: {type(error).__name__}")
 for topic, n in sorted(counts.items()):

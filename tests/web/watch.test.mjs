@@ -315,6 +315,26 @@ test('a playthrough speaks', async (t) => {
   assert.deepEqual(complaints, []);
 });
 
+test('what another watcher does not know of its run is not shown of the one before', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('books', async () => (await text(page, 'balance')) === 'balanced');
+  await page.locator('#charts').focus();
+  await page.keyboard.press('+');
+  assert.equal(await page.locator('#unzoom').isVisible(), true, 'zoomed');
+  const { update, about } = await page.evaluate(async () => (await fetch('state.json')).json());
+  const told = [['about', { ...about, watcher: 1 }], ['update', { ...update, books: null }]];
+  const body = told.map(([kind, data]) => `event: ${kind}\ndata: ${JSON.stringify(data)}\n\n`).join('');
+  await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body }));
+  // The page goes on, and asks the next watcher once this one is gone.
+  await place.processes.at(-1).kill();
+  await until('no books', async () => (await page.locator('#books-rows tr').count()) === 0);
+  assert.equal(await text(page, 'balance'), '');
+  assert.equal(await page.locator('#unzoom').isVisible(), false, 'the whole run');
+});
+
 test('an episode that begins while the picture is paused is drawn once it goes on', async (t) => {
   const place = new Place();
   t.after(() => place.clean());

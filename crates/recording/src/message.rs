@@ -4,6 +4,7 @@ use leadtime_link::live::{ArrivalEncoding, LiveTopic};
 use leadtime_proto::hex;
 use leadtime_serve::HeardSay;
 use leadtime_serve::observation::{LiveObservation, write_json};
+use leadtime_serve::say::RAW_SAY;
 use serde_json::{Value, json};
 
 /// Where the original of a message that was no JSON is kept, and its attachment.
@@ -36,7 +37,8 @@ pub(crate) fn record(
     beside: Option<&[u8]>,
 ) -> Vec<u8> {
     let is_object = || serde_json::from_slice::<Value>(payload).is_ok_and(|it| it.is_object());
-    let is_raw_say = topic == LiveTopic::Say && !payload.starts_with(b"{");
+    // The first byte of a raw event is that of its utterance's number, which may be that of `{`.
+    let is_raw_say = !payload.starts_with(b"{") || payload.len() == RAW_SAY;
     let mut converted = match (topic, encoding) {
         (LiveTopic::Observations, ArrivalEncoding::Binary) => observation(payload, beside),
         (LiveTopic::Observations, ArrivalEncoding::Other(name)) => json!({ ENCODING: name }),
@@ -144,6 +146,10 @@ mod tests {
         let recorded = record(LiveTopic::Say, &ArrivalEncoding::Binary, &raw, None);
         assert_eq!(said_event(&recorded), HeardSay::read(&raw));
         assert!(said_event(&recorded).is_some());
+        raw[0] = b'{';
+        let recorded = record(LiveTopic::Say, &ArrivalEncoding::Binary, &raw, None);
+        let json: Value = serde_json::from_slice(&recorded).unwrap();
+        assert_eq!((&json["event"], &json["utterance"]), (&json!("start"), &json!(123)));
         assert_eq!(bytes_of("0g"), None);
         assert_eq!(bytes_of("012"), None);
     }

@@ -4,6 +4,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::json_fault::{FieldRule, JsonFault, no_choice, no_number, no_small_count, or_null};
 
+/// The longest report, in bytes; one takes some 60. A sentence about a long one would take the time of other sessions.
+const MAX_REPORT: usize = 1024;
+
 /// What the loudspeaker did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -49,8 +52,12 @@ impl HeardReport {
     ///
     /// # Errors
     ///
-    /// [`JsonFault`] if the bytes are no JSON of a report, or have an unknown field.
+    /// [`JsonFault`] if the bytes are no JSON of a report, have an unknown field, or are more than 1024.
     pub fn read(bytes: &[u8]) -> Result<Self, JsonFault> {
+        if bytes.len() > MAX_REPORT {
+            let told = format!("it has {} bytes; {MAX_REPORT} at most", bytes.len());
+            return Err(JsonFault::Other(told));
+        }
         serde_json::from_slice(bytes).map_err(|error| JsonFault::find(bytes, &RULES, &error))
     }
 }
@@ -82,5 +89,8 @@ mod tests {
             let fault = read(text).unwrap_err().to_string();
             assert!(fault.contains(told), "{fault}");
         }
+        // Nothing of a long one is looked at.
+        let long = read(&format!(r#"{{"utterance":1,"event":"end","x":[{}0]}}"#, "0,".repeat(600)));
+        assert_eq!(long.unwrap_err().to_string(), "it has 1237 bytes; 1024 at most");
     }
 }

@@ -739,23 +739,26 @@ impl LiveSession {
         self.tell(now, out);
     }
 
-    /// Takes a client's report of what its loudspeaker really did.
+    /// Takes a client's report of what its loudspeaker really did; returns it if it can be read.
     pub fn hear(
         &mut self,
         now: u64,
         report: &[u8],
         decider: &mut LiveDecider,
         out: &mut impl SayTo,
-    ) {
+    ) -> Option<HeardReport> {
         let report = match HeardReport::read(report) {
             Ok(report) => report,
             Err(fault) => {
                 let told = format!("a report of what was heard cannot be read: {fault}");
-                return self.note_refusal(told);
+                self.note_refusal(told);
+                return None;
             }
         };
         let is_about_this = report.utterance == self.utterance.number;
-        let Some(speech) = self.notifier.speech().filter(|_| is_about_this) else { return };
+        let Some(speech) = self.notifier.speech().filter(|_| is_about_this) else {
+            return Some(report);
+        };
         self.utterance.is_reported = true;
         let (l, before) = (speech.message.conveyance, self.utterance.heard);
         let n_words = match words::spoken(&self.utterance.text).count() as u32 {
@@ -766,12 +769,16 @@ impl LiveSession {
             HeardEvent::Start => 0,
             HeardEvent::Word => report.word.min(n_words) * l / n_words,
             HeardEvent::End => l,
-            HeardEvent::Cut => return self.fall_silent(now, out),
+            HeardEvent::Cut => {
+                self.fall_silent(now, out);
+                return Some(report);
+            }
         };
         while self.utterance.heard < ended && self.notifier.speech().is_some() {
             self.hear_word(now, out);
         }
         self.follow(before, now, decider, out);
+        Some(report)
     }
 
     fn fall_silent(&mut self, now: u64, out: &mut impl SayTo) {

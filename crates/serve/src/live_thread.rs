@@ -11,7 +11,6 @@ use leadtime_proto::{ClientName, Incarnation};
 use leadtime_voice::{Loudspeaker, SpokenSentence};
 use tracing::debug;
 
-use crate::heard::HeardReport;
 use crate::live_clock::LiveClock;
 use crate::live_session::{LiveSession, LiveSnapshot, ObservationBytes};
 use crate::robot::RobotWriter;
@@ -23,6 +22,8 @@ use crate::working_policy::LiveDecider;
 pub(crate) const SESSIONS_PER_THREAD: usize = 16;
 /// The most orders to a thread, and reports of it, that wait.
 const MAX_WAITING: usize = 256;
+/// The most reports of a client that are taken at a time: the other sessions of the thread wait meanwhile.
+const MAX_REPORTS: usize = 4;
 /// The last part of a sleep that is waited awake, because a sleeper wakes up late.
 const SPIN: Duration = Duration::from_micros(300);
 /// The longest sleep; a thread without work wakes up this often.
@@ -219,11 +220,15 @@ impl Loop {
                     Err(TryRecvError::Disconnected) => return self.end(),
                 }
             }
+            let mut has_more = false;
             for hosted in &mut self.hosted {
-                serve(hosted, &mut self.decider, self.clock, self.loudspeaker.as_ref());
+                let loudspeaker = self.loudspeaker.as_ref();
+                has_more |= serve(hosted, &mut self.decider, self.clock, loudspeaker);
             }
             self.report();
-            self.sleep();
+            if !has_more {
+                self.sleep();
+            }
         }
     }
 
@@ -306,19 +311,24 @@ impl Loop {
     }
 }
 
-/// Does for a client whatever is to be done now.
+/// Takes the next few reports: a client that sends them faster than they are read must not hold up the others.
+fn next_reports(take: impl FnMut() -> Option<Vec<u8>>) -> Vec<Vec<u8>> {
+    std::iter::from_fn(take).take(MAX_REPORTS).collect()
+}
+
+/// Does for a client whatever is to be done now; returns whether further reports of it may wait.
 fn serve(
     hosted: &mut Hosted,
     decider: &mut LiveDecider,
     clock: LiveClock,
     loudspeaker: Option<&Loudspeaker>,
-) {
+) -> bool {
     hosted.session.note_mute(loudspeaker.is_some_and(Loudspeaker::is_mute));
-    while let Some(bytes) = hosted.port.take_heard() {
+    let reports = next_reports(|| hosted.port.take_heard());
+    for bytes in &reports {
         let now = clock.now();
         let (session, mut out) = hosted.parts(clock, loudspeaker);
-        session.hear(now, &bytes, decider, &mut out);
-        if let Ok(report) = HeardReport::read(&bytes) {
+        if let Some(report) = session.hear(now, bytes, decider, &mut out) {
             hosted.tell_taken(now, TakenInput::Heard { report });
         }
     }
@@ -344,5 +354,18 @@ fn serve(
         let (session, mut out) = hosted.parts(clock, loudspeaker);
         session.tick(now, decider, &mut out);
         hosted.tell_taken(now, TakenInput::Tick);
+    }
+    reports.len() == MAX_REPORTS
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reports_that_come_without_end_do_not_hold_up_other_sessions() {
+        assert_eq!(next_reports(|| Some(Vec::new())).len(), MAX_REPORTS);
+        let mut waiting = [b"1".to_vec(), b"2".to_vec()].into_iter();
+        assert_eq!(next_reports(|| waiting.next()), [b"1", b"2"]);
     }
 }

@@ -26,7 +26,7 @@ use crate::robot::ros2::ATTACHMENT;
 /// The greatest number that an observation may hold.
 pub const MAX_NUMBER: f64 = 1e9;
 /// The latest time that an observation may have, in seconds: some thirty years.
-const MAX_TIME: f64 = 1e9;
+pub(crate) const MAX_TIME: f64 = 1e9;
 /// The largest number of an observation: room is left to count on from it, also for one that counts nanoseconds.
 const MAX_SEQ: u64 = 1 << 62;
 /// The longest name of a fact, in bytes.

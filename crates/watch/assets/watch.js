@@ -526,7 +526,7 @@ const FATES = {
 
 function showBooks() {
   const books = update?.books;
-  if (!books) return;
+  if (!books) return ['books-rows', 'balance', 'refusals'].forEach((id) => $(id).replaceChildren());
   const fate = (/** @type {any} */ entry, /** @type {number} */ i) => [FATES[entry[0]] ?? entry[0], entry[1], i ? '+' : '='];
   const rows = [['published', books.published, ''], ...books.entries.map(fate)];
   $('books-rows').replaceChildren(...rows.map(([label, n, sign]) => {
@@ -759,9 +759,9 @@ let watcher = 0;
 /** @param {any} told */
 function takeAbout(told) {
   if (told.watcher === watcher) return;
-  watcher = told.watcher;
   $('log-lines').replaceChildren();
-  [flight, frame, trail, waiting] = [null, null, [], null];
+  [watcher, flight, frame, trail, waiting] = [told.watcher, null, null, [], null];
+  setZoom(null);
   for (const id of ['flight-note', 'heard', 'unheard', 'doing']) $(id).textContent = '';
   drawStage();
 }

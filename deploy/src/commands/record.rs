@@ -38,7 +38,7 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
         () = shutdown.cancelled() => return Err(Failure::silent(ExitCode::Interrupted)),
         opened = open => opened.map_err(dialling_failure)?,
     };
-    let writer = begin(&mut file)?;
+    let (writer, clock) = (begin(&mut file)?, RecordClock::start());
     let recorder = LiveRecorder::new(writer, args.notifier.service.clone());
     let (shown, service) = (args.output.display(), &args.notifier.service);
     tracing::info!("recording notifier `{service}` to {shown} until {}", end(args));
@@ -47,6 +47,7 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
         link,
         samples,
         recorder,
+        clock,
         service: service.clone(),
         is_gone: false,
         asked: BTreeSet::new(),
@@ -153,6 +154,7 @@ struct RunningRecording {
     link: LiveRecorderLink,
     samples: flume::Receiver<LiveSample>,
     recorder: LiveRecorder<BufWriter<File>>,
+    clock: RecordClock,
     service: ServiceName,
     /// The notifier is not there.
     is_gone: bool,
@@ -176,7 +178,7 @@ impl RunningRecording {
                 () = stop.cancelled() => return Ok(()),
                 sample = self.samples.recv_async() => {
                     let Ok(sample) = sample else { return Ok(()) };
-                    self.recorder.take(arrived(sample.arrival.at), &sample)?;
+                    self.recorder.take(self.clock.at(sample.arrival.at), &sample)?;
                     if matches!(sample.topic, LiveTopic::Status | LiveTopic::Taken) {
                         self.ask(&asker, &sender);
                     }
@@ -189,7 +191,7 @@ impl RunningRecording {
                     let Ok((client, answer)) = answer else { return Ok(()) };
                     self.asked.remove(&client);
                     if let Some(answer) = answer {
-                        self.recorder.note(arrived(Instant::now()), &client, &answer)?;
+                        self.recorder.note(self.clock.at(Instant::now()), &client, &answer)?;
                     }
                 }
                 _ = flushes.tick() => {
@@ -211,7 +213,7 @@ impl RunningRecording {
             return;
         }
         self.asked_at = Some(now);
-        for client in self.recorder.next_to_ask(arrived(now), n, &self.asked) {
+        for client in self.recorder.next_to_ask(self.clock.at(now), n, &self.asked) {
             self.asked.insert(client.clone());
             let (asker, sender) = (asker.clone(), sender.clone());
             tokio::spawn(async move {
@@ -250,8 +252,42 @@ impl RunningRecording {
     }
 }
 
-/// Returns when something arrived, in nanoseconds since 1970.
-pub(super) fn arrived(at: Instant) -> u64 {
-    let ago = i128::try_from(at.elapsed().as_nanos()).unwrap_or(0);
-    u64::try_from(clock::now().as_nanosecond() - ago).unwrap_or(0)
+/// The clock of a recording: it shows the time of the wall clock at its beginning, and goes on however that is set meanwhile.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RecordClock {
+    began: Instant,
+    /// What the wall clock showed then, in nanoseconds since 1970.
+    unix: i128,
+}
+
+impl RecordClock {
+    /// Starts the clock.
+    pub(super) fn start() -> Self {
+        Self { began: Instant::now(), unix: clock::now().as_nanosecond() }
+    }
+
+    /// Returns when something arrived, in nanoseconds since 1970.
+    pub(super) fn at(self, moment: Instant) -> u64 {
+        let signed = |time: Duration| i128::try_from(time.as_nanos()).unwrap_or(i128::MAX);
+        // What arrived before the file was begun was waiting.
+        let after = signed(moment.saturating_duration_since(self.began));
+        let before = signed(self.began.saturating_duration_since(moment));
+        u64::try_from(self.unix + after - before).unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_time_of_a_recording_goes_on_whatever_the_wall_clock_says() {
+        let second = Duration::from_secs(1);
+        let began = Instant::now() + second;
+        // Other than the wall clock of today: one that was set since.
+        let clock = RecordClock { began, unix: 48_000_000_000 };
+        assert_eq!(clock.at(began), 48_000_000_000);
+        assert_eq!(clock.at(began + second), 49_000_000_000);
+        assert_eq!(clock.at(began - second), 47_000_000_000);
+    }
 }

@@ -16,7 +16,9 @@ use serde_json::Value;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_util::sync::CancellationToken;
 
-use super::record::{FLUSH_EVERY, RecordFailure, arrived, begin, close, create, end, stop_after};
+use super::record::{
+    FLUSH_EVERY, RecordClock, RecordFailure, begin, close, create, end, stop_after,
+};
 use crate::cli::RecordArgs;
 use crate::credentials::{dialling_failure, notifier_settings};
 use crate::ending::{Watch, watch};
@@ -62,6 +64,7 @@ async fn record(
 ) -> Result<(), RecordFailure> {
     let mut flushes = interval(FLUSH_EVERY);
     flushes.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let clock = RecordClock::start();
     let (mut n_missed, mut n_passed_over, mut is_here) = (0, 0, None);
     // One that was killed before it was seen here leaves without a word.
     let mut first_look = pin!(sleep(SEEN_WITHIN));
@@ -75,7 +78,8 @@ async fn record(
                         continue;
                     }
                     let key = Key::Metrics(run, &member).to_string();
-                    writer.write(&key, RecordedTopic::Metrics, arrived(Instant::now()), &json)?;
+                    let at = clock.at(Instant::now());
+                    writer.write(&key, RecordedTopic::Metrics, at, &json)?;
                     // A learner that was asked to stop may be started again.
                     if told["kind"] == "end" && told["how"] == "finished" {
                         return Ok(());

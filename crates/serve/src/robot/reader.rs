@@ -12,7 +12,7 @@
 //! last observation whenever another source begins. That may be once the one before has been silent; two at once would tear what
 //! is observed, so the second one is refused.
 
-use crate::observation::{BadObservation, LiveObservation, ObservationHead};
+use crate::observation::{BadObservation, LiveObservation, MAX_TIME, ObservationHead};
 use crate::robot::form::RobotForm;
 use crate::robot::ros2::SourceMark;
 
@@ -108,8 +108,9 @@ impl RobotReader {
             let (moment, t) = source.moment;
             let t = t + clock.saturating_sub(moment) as f64 * 1e-9;
             // A clock that was set back begins anew, and so does a source that was silent and counts from where it was before.
-            let is_set_back = if seq < next { is_quiet } else { t < last.t };
-            (!is_set_back).then_some((seq, t))
+            // So does one that leaps beyond every time: what recorders are told of it could not be read again.
+            let is_anew = if seq < next { is_quiet } else { t < last.t || t > MAX_TIME };
+            (!is_anew).then_some((seq, t))
         });
         let is_first = known.is_none();
         let (seq, t) = known.unwrap_or_else(|| {
@@ -306,6 +307,24 @@ mod tests {
         assert_eq!(bench.ros(9_000, OLD, 12, -59_960), Ok((8, 0.12, false)));
         // Numbers from before the first one are old, whatever they are.
         assert_eq!(bench.ros(9_010, OLD, i64::MIN, 0).map(|it| it.0), Ok(0));
+    }
+
+    #[test]
+    fn a_clock_that_leaps_by_decades_begins_anew() {
+        let mut bench = Bench::new(RobotForm::Ros2);
+        let mut marked = |ms, number, time| {
+            let mark = SourceMark { number, time, gid: OLD };
+            bench.arrive(ms, &message(), Some(&mark.write()))
+        };
+        // It has no battery, and begins in 1970 until it is set.
+        assert_eq!(marked(0, 1, 0), Ok((1, 0.0, true)));
+        let set = 1_796_000_000_000_000_000;
+        assert_eq!(marked(20, 2, set), Ok((2, 0.0, true)));
+        assert_eq!(marked(40, 3, set + 20 * MS as i64), Ok((3, 0.02, false)));
+        // One damaged time changes nothing for those after it.
+        assert_eq!(marked(60, 4, i64::MAX), Ok((4, 0.02, true)));
+        assert_eq!(marked(80, 5, set + 60 * MS as i64), Ok((5, 0.02, true)));
+        assert_eq!(marked(100, 6, set + 80 * MS as i64), Ok((6, 0.04, false)));
     }
 
     #[test]

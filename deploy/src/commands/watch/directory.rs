@@ -4,14 +4,14 @@ use std::convert::Infallible;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, UNIX_EPOCH};
 
 use anyhow::Context as _;
 use leadtime_config::Config;
 use leadtime_runs::history::{self, JournalTail};
 use leadtime_runs::layout::read_config;
 use leadtime_runs::prune::is_in_use;
-use leadtime_runs::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunRecord, Tasks, clock};
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunDirError, RunRecord, Tasks, clock};
 use leadtime_watch::{FlightPlan, FlightThread, MAX_POINTS, Page};
 use serde_json::Value;
 use tokio::time::{MissedTickBehavior, interval};
@@ -26,6 +26,9 @@ const QUIET: Duration = Duration::from_secs(10);
 /// The shortest time between two tries of its locks: a process that wants one at that very moment is refused.
 const LOCK_PAUSE: Duration = Duration::from_secs(10);
 
+/// A file as it was read: its size and when it was written.
+type SeenFile = (u64, Option<Duration>);
+
 /// A run's directory, and how far it was read.
 #[derive(Debug)]
 pub(super) struct RunSource {
@@ -33,12 +36,13 @@ pub(super) struct RunSource {
     about: Value,
     /// `None` where another release wrote it.
     config: Option<Config>,
+    config_seen: Option<SeenFile>,
     tail: JournalTail,
     /// Whether no process had the run open when its locks were tried.
     is_left: bool,
     tried_at: Option<Instant>,
-    /// The policy that plays: its size and when it was written.
-    policy: Option<(u64, Option<Duration>)>,
+    /// The policy that plays.
+    policy: Option<SeenFile>,
 }
 
 /// The thread that plays the run's policies, and what it plays.
@@ -50,17 +54,13 @@ struct PlannedFlight {
 impl RunSource {
     /// Opens a run's directory.
     pub(super) fn open(tasks: &Tasks, directory: &Path) -> Result<Self, Failure> {
-        let table = read_config(directory).blame(ExitCode::WrongInput)?;
-        let place = format!("the configuration in {}", directory.display());
-        let config = Config::stored(&place, &table.to_string(), &[], &tasks.registry).ok();
-        let name = name_of(directory);
-        let about = match &config {
-            Some(config) => history::about(config, &name, directory),
-            None => serde_json::json!({"run": name, "config": table.to_string()}),
-        };
+        // Seen before it is read: one that is written meanwhile is read again.
+        let config_seen = seen(&config_file(directory));
+        let (about, config) = described(tasks, directory).blame(ExitCode::WrongInput)?;
         let directory = directory.to_owned();
         let tail = JournalTail::new(&directory);
-        Ok(Self { directory, about, config, tail, is_left: false, tried_at: None, policy: None })
+        let (is_left, tried_at, policy) = (false, None, None);
+        Ok(Self { directory, about, config, config_seen, tail, is_left, tried_at, policy })
     }
 
     /// Returns the run's name.
@@ -113,11 +113,10 @@ impl RunSource {
         page: &Arc<Page>,
         plays: bool,
     ) -> Result<Infallible, Failure> {
-        let play = if plays {
+        let mut play = if plays {
             let watcher: Arc<Page> = Arc::clone(page);
             let flight = FlightThread::start(watcher).blame(ExitCode::Failed)?;
-            let config = self.config.as_ref().ok_or("another release made this run".to_owned());
-            let plan = config.and_then(|config| flight_plan(tasks, config));
+            let plan = self.plan(tasks);
             flight.plan(plan.clone());
             Some(PlannedFlight { flight, plan })
         } else {
@@ -127,7 +126,31 @@ impl RunSource {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             ticks.tick().await;
-            self.look(tasks, page, play.as_ref())?;
+            self.look(tasks, page, play.as_mut())?;
+        }
+    }
+
+    /// Plans to play the run's task, or says why it cannot be played.
+    fn plan(&self, tasks: &Tasks) -> Result<FlightPlan, String> {
+        let config = self.config.as_ref().ok_or("another release made this run".to_owned());
+        config.and_then(|config| flight_plan(tasks, config))
+    }
+
+    /// Reads the configuration again once it was written anew: the run goes on for longer, or with other settings.
+    fn follow_config(&mut self, tasks: &Tasks, page: &Page, play: Option<&mut PlannedFlight>) {
+        let found = seen(&config_file(&self.directory));
+        if found.is_none() || found == self.config_seen {
+            return;
+        }
+        match described(tasks, &self.directory) {
+            Ok((about, config)) => (self.about, self.config) = (about, config),
+            Err(error) => return tracing::debug!(%error, "configuration not read"),
+        }
+        self.config_seen = found;
+        page.with(|view, now| view.about(self.about.clone(), now));
+        if let Some(play) = play {
+            // The policy is given anew, with this plan.
+            (play.plan, self.policy) = (self.plan(tasks), None);
         }
     }
 
@@ -135,8 +158,9 @@ impl RunSource {
         &mut self,
         tasks: &Tasks,
         page: &Page,
-        play: Option<&PlannedFlight>,
+        mut play: Option<&mut PlannedFlight>,
     ) -> Result<(), Failure> {
+        self.follow_config(tasks, page, play.as_deref_mut());
         match self.tail.new_lines() {
             Ok(Some(lines)) => page.with(|view, now| {
                 for line in lines {
@@ -169,14 +193,11 @@ impl RunSource {
         let PlannedFlight { flight, plan } = play;
         let files = [LAST_POLICY, BEST_POLICY].map(|name| self.directory.join(name));
         let Some(path) = files.iter().find(|path| path.is_file()) else { return };
-        let Ok(found) = fs::metadata(path) else { return };
-        let written =
-            found.modified().ok().and_then(|at| at.duration_since(std::time::UNIX_EPOCH).ok());
-        let seen = Some((found.len(), written));
-        if self.policy == seen {
+        let found = seen(path);
+        if found.is_none() || self.policy == found {
             return;
         }
-        self.policy = seen;
+        self.policy = found;
         match LoadedPolicy::load(&tasks.registry, Path::new("."), path, &[]) {
             Ok(policy) => match fs::read(path) {
                 Ok(bytes) => {
@@ -188,5 +209,63 @@ impl RunSource {
             },
             Err(error) => flight.plan(Err(format!("the policy cannot be read: {error}"))),
         }
+    }
+}
+
+/// Returns a file's size and when it was written; `None` if it cannot be looked at.
+fn seen(path: &Path) -> Option<SeenFile> {
+    let found = fs::metadata(path).ok()?;
+    let written = found.modified().ok().and_then(|at| at.duration_since(UNIX_EPOCH).ok());
+    Some((found.len(), written))
+}
+
+fn config_file(directory: &Path) -> PathBuf {
+    directory.join("config.toml")
+}
+
+/// Reads what the run is, and its configuration if this release can read it.
+fn described(tasks: &Tasks, directory: &Path) -> Result<(Value, Option<Config>), RunDirError> {
+    let table = read_config(directory)?;
+    let place = format!("the configuration in {}", directory.display());
+    let config = Config::stored(&place, &table.to_string(), &[], &tasks.registry).ok();
+    let name = name_of(directory);
+    let about = match &config {
+        Some(config) => history::about(config, &name, directory),
+        None => serde_json::json!({"run": name, "config": table.to_string()}),
+    };
+    Ok((about, config))
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_config::{ConfigSource, Override};
+
+    use super::*;
+
+    #[test]
+    fn a_run_that_goes_on_for_longer_is_shown_with_its_new_length() {
+        let (tasks, place) = (Tasks::new(), tempfile::tempdir().unwrap());
+        let directory = place.path().join("r");
+        fs::create_dir(&directory).unwrap();
+        let write = |steps: &str| {
+            let steps = format!("learner.total_steps={steps}");
+            let set = vec![Override::parse(&steps).unwrap()];
+            let source = ConfigSource { set, ..ConfigSource::default() };
+            let config = tasks.configure(Some(Path::new("cartpole")), source).unwrap();
+            fs::write(config_file(&directory), config.table.to_string()).unwrap();
+        };
+        write("51200");
+        let mut source = RunSource::open(&tasks, &directory).unwrap();
+        let page = Page::new(source.name(), clock::unix_seconds);
+        let total = |page: &Page| {
+            page.with(|view, now| view.state_json(now))["total_updates"].as_u64().unwrap()
+        };
+        source.look(&tasks, &page, None).unwrap();
+        assert_eq!(total(&page), 0, "what it is was not shown yet");
+        source.show(&page).unwrap();
+        assert_eq!(total(&page), 100);
+        write("5120000");
+        source.look(&tasks, &page, None).unwrap();
+        assert_eq!(total(&page), 10_000);
     }
 }
