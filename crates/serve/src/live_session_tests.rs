@@ -242,6 +242,15 @@ fn an_understood_message_is_finished_on_a_stale_observation_and_cut_on_a_lost_on
     // Two words are heard by then.
     let mut bench = Bench::saying(2..=2, &json!({"stale_after": 0.65, "lost_after": 100}));
     bench.until(10_000);
+    eprintln!(
+        "{:?}",
+        bench
+            .told
+            .says
+            .iter()
+            .map(|(at, s)| ((at - OPENED) / MS, s.event, s.k, s.l, s.heard, s.utterance))
+            .collect::<Vec<_>>()
+    );
     let last = &bench.told.says.last().unwrap().1;
     assert_eq!((last.event, bench.state()), (SayEvent::End, LiveState::Stale));
     let mut bench = Bench::saying(2..=2, &json!({"stale_after": 0.65, "lost_after": 0.65}));
