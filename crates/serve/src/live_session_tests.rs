@@ -1,5 +1,3 @@
-use std::ops::RangeInclusive;
-
 use leadtime_policy::Parameters;
 use leadtime_proto::{PolicySpec, TaskSpec};
 use leadtime_sims::notifier::initial_bias;
@@ -41,9 +39,13 @@ impl SayTo for Told {
 
 /// A notifier that starts a message in every step that offers one, or in none.
 fn policy(talks: bool) -> WorkingPolicy {
+    policy_with(if talks { 50.0 } else { -50.0 })
+}
+
+fn policy_with(initiate_bias: f32) -> WorkingPolicy {
     let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
     let env = leadtime_worlds::builtin().build(&task).unwrap();
-    let logit_bias = initial_bias(&env.spec().actions, if talks { 50.0 } else { -50.0 }, 0.0);
+    let logit_bias = initial_bias(&env.spec().actions, initiate_bias, 0.0);
     let spec = PolicySpec { logit_bias, ..PolicySpec::dense(env.spec(), &[8]) };
     let parameters = Parameters::initialize(&spec, 1).unwrap();
     let words = leadtime_taxonomy::shipped("lander").unwrap();
@@ -89,16 +91,25 @@ impl Bench {
         Self::open_with(&policy.with_voice(Some(book)), question)
     }
 
-    /// A session that has just got its first observation, upon which a message with such a k begins.
-    fn saying(k: RangeInclusive<u32>, question: &Value) -> Self {
-        let policy = policy(true);
+    /// A session of the first seed of which this holds, with one observation.
+    fn such_that(initiate_bias: f32, question: &Value, holds: impl Fn(&mut Self) -> bool) -> Self {
+        let policy = policy_with(initiate_bias);
         let observed = |seed| {
             let mut bench = Self::seeded(&policy, question, seed);
             bench.observe();
-            bench
+            holds(&mut bench).then_some(bench)
         };
-        let mut benches = (1..200).map(observed);
-        benches.find(|bench| k.contains(&bench.told.says[0].1.k)).expect("some seed says so")
+        (1..1_000).find_map(observed).expect("it holds of some seed")
+    }
+
+    /// A session whose first message has two words until it is understood, and is followed by none.
+    fn two_words(question: &Value) -> Self {
+        Self::such_that(0.0, question, |bench| {
+            bench.until(640);
+            let says = &bench.told.says;
+            says.first().is_some_and(|(_, say)| say.k == 2 && say.l > 2)
+                && says.iter().all(|(_, say)| say.utterance == 1)
+        })
     }
 
     fn open_with(policy: &WorkingPolicy, question: &Value) -> Self {
@@ -216,7 +227,7 @@ fn silence_has_a_reason() {
 #[test]
 fn a_message_not_yet_understood_is_cut_when_its_observation_is_stale() {
     // Three words or more are said before it is understood.
-    let mut bench = Bench::saying(3..=9, &json!({}));
+    let mut bench = Bench::such_that(50.0, &json!({}), |bench| bench.told.says[0].1.k > 2);
     bench.observe_from_to(50, 100);
     let k = bench.told.says[0].1.k;
     bench.until(5_000);
@@ -240,20 +251,11 @@ fn a_message_not_yet_understood_is_cut_when_its_observation_is_stale() {
 #[test]
 fn an_understood_message_is_finished_on_a_stale_observation_and_cut_on_a_lost_one() {
     // Two words are heard by then.
-    let mut bench = Bench::saying(2..=2, &json!({"stale_after": 0.65, "lost_after": 100}));
+    let mut bench = Bench::two_words(&json!({"stale_after": 0.65, "lost_after": 100}));
     bench.until(10_000);
-    eprintln!(
-        "{:?}",
-        bench
-            .told
-            .says
-            .iter()
-            .map(|(at, s)| ((at - OPENED) / MS, s.event, s.k, s.l, s.heard, s.utterance))
-            .collect::<Vec<_>>()
-    );
     let last = &bench.told.says.last().unwrap().1;
     assert_eq!((last.event, bench.state()), (SayEvent::End, LiveState::Stale));
-    let mut bench = Bench::saying(2..=2, &json!({"stale_after": 0.65, "lost_after": 0.65}));
+    let mut bench = Bench::two_words(&json!({"stale_after": 0.65, "lost_after": 0.65}));
     bench.until(10_000);
     let (at, last) = bench.told.says.last().unwrap();
     assert_eq!(last.event, SayEvent::Cut);
