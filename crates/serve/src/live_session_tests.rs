@@ -42,7 +42,7 @@ fn policy(talks: bool) -> WorkingPolicy {
     policy_with(if talks { 50.0 } else { -50.0 })
 }
 
-fn policy_with(initiate_bias: f32) -> WorkingPolicy {
+fn policy_with(initiate_bias: f64) -> WorkingPolicy {
     let task = TaskSpec { domain: "lander".to_owned(), settings: "{}".to_owned() };
     let env = leadtime_worlds::builtin().build(&task).unwrap();
     let logit_bias = initial_bias(&env.spec().actions, initiate_bias, 0.0);
@@ -92,7 +92,7 @@ impl Bench {
     }
 
     /// A session of the first seed of which this holds, with one observation.
-    fn such_that(initiate_bias: f32, question: &Value, holds: impl Fn(&mut Self) -> bool) -> Self {
+    fn such_that(initiate_bias: f64, question: &Value, holds: impl Fn(&mut Self) -> bool) -> Self {
         let policy = policy_with(initiate_bias);
         let observed = |seed| {
             let mut bench = Self::seeded(&policy, question, seed);
