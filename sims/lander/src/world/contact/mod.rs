@@ -15,6 +15,7 @@ mod model;
 mod pairs;
 mod solve;
 mod sweep;
+mod tree;
 mod world;
 
 #[cfg(test)]

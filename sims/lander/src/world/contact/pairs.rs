@@ -7,6 +7,8 @@ use rapier2d::parry::bounding_volume::Aabb;
 use rapier2d::parry::partitioning::{Bvh, BvhLeafUpdateStatus, BvhWorkspace};
 use serde::{Deserialize, Serialize};
 
+use super::tree;
+
 /// Leaf of the ground; the bodies' leaves follow in their order.
 const GROUND: u32 = 0;
 /// How far a box may move before the tree notices, in metres.
@@ -55,8 +57,7 @@ impl Pairs {
 
     /// Returns whether every pair has a body and a leaf.
     pub(super) fn is_complete(&self) -> bool {
-        (0..4).all(|leaf| self.tree.leaf_node(leaf).is_some())
-            && self.order.iter().all(|&body| body < 3)
+        tree::is_whole(&self.tree, 4) && self.order.iter().all(|&body| body < 3)
     }
 
     /// Moves a body's box at the end of a frame.
