@@ -90,6 +90,24 @@ fn a_snapshot_that_does_not_fit_is_refused() {
 }
 
 #[test]
+fn every_moment_of_a_flight_can_be_restored() {
+    for physics in [Physics::Hybrid, Physics::Rapier] {
+        let (mut flying, mut other) = (lander(physics, true), lander(physics, true));
+        for seed in 0..20 {
+            flying.reset(Pcg64::seed_from_u64(seed));
+            for frame in 0..400 {
+                // Now and then without engines, so that it tumbles and falls.
+                let falls = (frame / 20 + seed) % 3 == 0;
+                let engine = if falls { Engine::Idle } else { heuristic(flying.observation()) };
+                flying.step(engine);
+                let restored = other.restore(&flying.snapshot());
+                assert!(restored.is_ok(), "{physics:?}, seed {seed}, frame {frame}");
+            }
+        }
+    }
+}
+
+#[test]
 fn an_episode_depends_on_its_seed_and_not_on_history() {
     for physics in [Physics::Hybrid, Physics::Rapier] {
         let mut used = lander(physics, false);
