@@ -11,10 +11,13 @@ use leadtime_link::{
     AccessList, ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ListenSettings,
     ObserverEvent, ObserverLink, RouterLink, StartKey,
 };
+use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, Credit};
-use leadtime_proto::{Epoch, Incarnation, PolicyVersion, RefusalCause, Sequence};
-use zenoh::Session;
+use leadtime_proto::{Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Sequence};
+use sha2::{Digest as _, Sha256};
 use zenoh::qos::CongestionControl;
+use zenoh::query::{Query, QueryTarget};
+use zenoh::{Session, Wait as _};
 
 use crate::certificates::{Pki, dialler};
 use crate::support::*;
@@ -29,6 +32,10 @@ const PEERS: [(Role, &str); 8] = [
     (Role::Recorder, "w1"),
     (Role::Learner, "l2"),
 ];
+/// Who may not send what a learner sends.
+const FORGERS: [&str; 3] = ["a8", "o1", "stranger"];
+/// The version that they say they have.
+const FORGED: PolicyVersion = PolicyVersion(99);
 
 /// A learner and its address, with or without a router between it and everybody else.
 struct Guarded {
@@ -267,16 +274,6 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
         let session = guarded.raw(name).await;
         assert_eq!(n_answers(&session, Key::Hello(&one)).await, 0, "{name} says hello");
     }
-    // Weights and announcements are the learner's: what others put there reaches no observer.
-    for name in ["a8", "o1", "stranger"] {
-        let session = guarded.raw(name).await;
-        put(&session, Key::Announcement(&one, &domain), &header, b"forged").await;
-        // Nor do they answer pulls.
-        let key = Key::Weights(&one, &domain).to_string();
-        let _answers = session.declare_queryable(&key).complete(true).await.unwrap();
-        let pulled = observer.pull_weights(&one, &domain, PolicyVersion(99), [0; 32]).await;
-        assert!(matches!(pulled.unwrap_err(), Error::NotKept { .. }), "only the learner answers");
-    }
     // A stranger sees nobody, and is told that.
     let mut settings = guarded.pki.connect("stranger", &guarded.endpoint);
     settings.timeout = Duration::from_secs(5);
@@ -291,6 +288,70 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
         ActorLink::open(&settings, &actor_id("o1"), &start("o1")).await.unwrap();
     let error = player.hello(None, &hello("o1"), SOON).await.unwrap_err();
     assert!(matches!(error, Error::NotAllowed { .. }), "{error}");
+}
+
+/// Answers every pull with this name, as a learner that keeps such weights does.
+async fn serve_its_name(session: &Session, name: &'static str) {
+    let plain = Header::plain(Schema::Weights, LEARNER, name.as_bytes());
+    let beside = Header { version: FORGED, ..plain }.to_bytes().to_vec();
+    let key = Key::Weights(&run("one"), &domain()).to_string();
+    let answer = move |query: Query| {
+        let reply = query.reply(query.key_expr().clone(), name.as_bytes());
+        drop(reply.attachment(beside.clone()).wait());
+    };
+    session.declare_queryable(key).complete(true).callback(answer).background().await.unwrap();
+}
+
+/// Weights and announcements are the learner's: what others put there reaches nobody, and nobody hears their answers to pulls.
+async fn weights_and_news_are_the_learners(guarded: &Guarded) {
+    let (one, domain) = (run("one"), domain());
+    let (observer, _seen) = guarded.observer("o1").await;
+    let pull = async |name: &str| {
+        let sha256: [u8; 32] = Sha256::digest(name).into();
+        observer.pull_weights(&one, &domain, FORGED, sha256).await
+    };
+    let news = || Key::Announcement(&one, &domain);
+    let reader = guarded.raw("o1").await;
+    let (sender, heard) = flume::bounded(64);
+    let tell = move |sample: zenoh::sample::Sample| {
+        drop(sender.try_send(sample.payload().to_bytes().into_owned()));
+    };
+    let _news = reader.declare_subscriber(news().to_string()).callback(tell).await.unwrap();
+
+    // Who has a learner's certificate is heard, so a forgery would be heard as well.
+    let allowed = guarded.raw("l1").await;
+    serve_its_name(&allowed, "l1").await;
+    let is_heard = async |word: &str| {
+        loop {
+            put(&allowed, news(), b"l1", word.as_bytes()).await;
+            let wait = tokio::time::timeout(Duration::from_millis(50), heard.recv_async());
+            match wait.await {
+                Ok(Ok(payload)) if payload == word.as_bytes() => return,
+                Ok(Ok(payload)) => assert!(!FORGERS.iter().any(|name| payload == name.as_bytes())),
+                _ => {}
+            }
+        }
+    };
+    let is_pulled = async {
+        while !pull("l1").await.is_ok_and(|weights| weights == b"l1") {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(SOON, is_heard("l1")).await.expect("a learner's news come");
+    tokio::time::timeout(SOON, is_pulled).await.expect("a learner's answers come");
+
+    for name in FORGERS {
+        let session = guarded.raw(name).await;
+        put(&session, news(), b"forged", name.as_bytes()).await;
+        serve_its_name(&session, name).await;
+        // Once this is answered, the list has seen the two before it.
+        let key = Key::Weights(&one, &domain).to_string();
+        let answers = session.get(key).target(QueryTarget::All).timeout(SOON).await.unwrap();
+        while answers.recv_async().await.is_ok() {}
+        let error = pull(name).await.expect_err("only learners answer");
+        assert!(matches!(error, Error::NotKept { .. }), "{name}: {error}");
+    }
+    tokio::time::timeout(SOON, is_heard("the end")).await.expect("a learner's news come");
 }
 
 async fn rollouts_are_read_by_recorders_alone(guarded: &Guarded) {
@@ -364,6 +425,7 @@ async fn a_router_enforces_the_list() {
     let guarded = Guarded::new(true).await;
     everything_of_a_run_passes(&guarded).await;
     nothing_under_another_name_passes(&guarded).await;
+    weights_and_news_are_the_learners(&guarded).await;
     rollouts_are_read_by_recorders_alone(&guarded).await;
 }
 
@@ -372,5 +434,6 @@ async fn a_listening_learner_enforces_the_list() {
     let guarded = Guarded::new(false).await;
     everything_of_a_run_passes(&guarded).await;
     nothing_under_another_name_passes(&guarded).await;
+    weights_and_news_are_the_learners(&guarded).await;
     rollouts_are_read_by_recorders_alone(&guarded).await;
 }
