@@ -335,6 +335,41 @@ test('what another watcher does not know of its run is not shown of the one befo
   assert.equal(await page.locator('#unzoom').isVisible(), false, 'the whole run');
 });
 
+test('seconds that pass are not read aloud, and the keys of the browser stay its own', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('the run', async () => (await newest(page)) > 0);
+  const isPrevented = (options) =>
+    page.evaluate((given) => {
+      const event = new KeyboardEvent('keydown', { bubbles: true, cancelable: true, ...given });
+      return !document.querySelector('#charts').dispatchEvent(event);
+    }, options);
+  assert.equal(await isPrevented({ key: 'ArrowLeft' }), false, 'nothing to move');
+  assert.equal(await isPrevented({ key: '+' }), true);
+  assert.equal(await isPrevented({ key: 'ArrowLeft' }), true);
+  assert.equal(await isPrevented({ key: 'ArrowLeft', altKey: true }), false);
+
+  const { state } = await page.evaluate(async () => (await fetch('state.json')).json());
+  const lost = [12, 13, 14].map((n) => ({ ...state, state: 'lost', sentence: `learner lost for ${n} s` }));
+  const body = lost.map((data) => `event: state\ndata: ${JSON.stringify(data)}\n\n`).join('');
+  const asked = { times: 0 };
+  await page.route('**/events', (route) => {
+    asked.times += 1;
+    return route.fulfill({ contentType: 'text/event-stream', body: asked.times === 1 ? body : '' });
+  });
+  await page.evaluate(() => {
+    window.aloud = [];
+    const note = (changes) => changes.forEach((change) => change.addedNodes.forEach((node) => window.aloud.push(node.textContent)));
+    new MutationObserver(note).observe(document.querySelector('#aloud'), { childList: true });
+  });
+  await place.processes.at(-1).kill();
+  await until('a further question', () => asked.times > 1);
+  const aloud = await page.evaluate(() => window.aloud);
+  assert.deepEqual(aloud.filter((sentence) => sentence.startsWith('learner')), ['learner lost']);
+});
+
 test('an episode that begins while the picture is paused is drawn once it goes on', async (t) => {
   const place = new Place();
   t.after(() => place.clean());

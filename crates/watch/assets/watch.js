@@ -360,13 +360,13 @@ function onChartKey(event) {
   const actions = {
     '+': () => setZoom({ min: middle - half / 2, max: middle + half / 2 }),
     '-': () => setZoom(half * 4 >= whole.max - whole.min ? null : { min: Math.max(whole.min, middle - half * 2), max: Math.min(whole.max, middle + half * 2) }),
-    ArrowLeft: () => zoom && setZoom(moved(-half / 2)),
-    ArrowRight: () => zoom && setZoom(moved(half / 2)),
+    ArrowLeft: () => setZoom(moved(-half / 2)),
+    ArrowRight: () => setZoom(moved(half / 2)),
     0: () => setZoom(null),
-    Escape: () => setZoom(null),
   };
-  const action = actions[event.key === '=' ? '+' : event.key];
-  if (action && !event.ctrlKey && !event.metaKey) {
+  const action = actions[event.key === '=' ? '+' : event.key === 'Escape' ? '0' : event.key];
+  // The browser has keys of its own, such as Alt and an arrow.
+  if (action && !event.ctrlKey && !event.metaKey && !event.altKey && (zoom || !event.key.startsWith('Arrow'))) {
     event.preventDefault();
     action();
   }
@@ -399,10 +399,10 @@ function takeState(told) {
 
 /** @param {string} name @param {string} sentence */
 function setState(name, sentence) {
-  const state = $('state');
-  state.className = `state ${name}`;
-  // What has not changed must not be read aloud again.
-  if (state.textContent !== sentence) state.textContent = sentence;
+  [$('state').className, $('state').textContent] = [`state ${name}`, sentence];
+  // What has not changed must not be read aloud again, nor every second that passes.
+  const aloud = sentence.replace(/ for \d+ s$/, '');
+  if ($('aloud').textContent !== aloud) $('aloud').textContent = aloud;
 }
 
 // ---------------------------------------------------------------------------------------------- update

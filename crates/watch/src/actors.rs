@@ -127,8 +127,13 @@ impl ActorTable {
         self.others = roster["others"].clone();
     }
 
-    /// Forgets those that are gone for long.
+    /// Forgets those that are gone for long. What lies ahead of a clock that was set back counts from now on.
     pub(crate) fn forget(&mut self, now: f64) {
+        for row in self.rows.values_mut() {
+            row.reports.retain(|report| report.at <= now);
+            row.seen_at = row.seen_at.min(now);
+            row.gone_at = row.gone_at.map(|at| at.min(now));
+        }
         self.rows.retain(|_, row| row.gone_at.is_none_or(|at| now - at < GONE_FOR));
     }
 

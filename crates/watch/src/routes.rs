@@ -118,7 +118,8 @@ fn events(
 
 /// Takes a client in, and streams events to it.
 fn stream(page: &Page, query: Option<&str>, headers: &HeaderMap) -> Response {
-    let only = parameter(query, "only").map(|only| only.replace("%2C", ","));
+    // Digits of an escape may be small letters.
+    let only = parameter(query, "only").map(|only| only.replace("%2C", ",").replace("%2c", ","));
     let wanted = match Wanted::parse(only.as_deref()) {
         Ok(wanted) => wanted,
         Err(sentence) => return (StatusCode::BAD_REQUEST, sentence).into_response(),

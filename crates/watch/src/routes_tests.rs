@@ -96,6 +96,9 @@ async fn a_client_gets_what_it_asks_for() {
     let events = told(&page(), "/events?only=update,history", &[]).await;
     assert_eq!(events.iter().map(|it| it.0.as_str()).collect::<Vec<_>>(), ["history", "update"]);
     assert_eq!(events[0].1["x"], json!([1, 2, 3, 4, 5]));
+    for escaped in ["/events?only=update%2Chistory", "/events?only=update%2chistory"] {
+        assert_eq!(told(&page(), escaped, &[]).await, events, "{escaped}");
+    }
     let events = told(&page(), "/events?only=history", &[("last-event-id", "4.0.1000000")]).await;
     assert_eq!((&events[0].1["from"], &events[0].1["x"]), (&json!(4), &json!([4, 5])));
     for unknown in ["99.0.1000000", "4.7.1000000", "4.0.7", "4.0", "4", "x.y.z", "4.0.1000000.0"] {

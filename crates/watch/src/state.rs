@@ -309,7 +309,16 @@ impl RunView {
         self.changes.update = true;
     }
 
+    /// Goes on where the clock was set back: what lies ahead of it would count as new until it is there again.
+    fn follow_clock(&mut self, now: f64) {
+        self.window.retain(|times| times.at <= now);
+        for at in [&mut self.last_at, &mut self.lost_at] {
+            *at = at.map(|at| at.min(now));
+        }
+    }
+
     fn trim(&mut self, now: f64) {
+        self.follow_clock(now);
         while self.window.len() > N_WINDOW
             || (self.window.len() > 2 && self.window.front().is_some_and(|it| now - it.at > WINDOW))
         {
@@ -392,8 +401,9 @@ impl RunView {
         self.actors.report(id, incarnation, told, now);
     }
 
-    /// Forgets the actors that are gone for long.
+    /// Forgets the actors that are gone for long, and what lies ahead of a clock that was set back.
     pub(crate) fn forget_gone(&mut self, now: f64) {
+        self.follow_clock(now);
         self.actors.forget(now);
     }
 

@@ -45,6 +45,26 @@ fn the_head_line_says_how_far_a_run_is_and_how_long_it_takes() {
 }
 
 #[test]
+fn a_clock_that_is_set_back_leaves_speed_and_state_as_they_are() {
+    let mut view = at_update(10);
+    for update in 11..=20 {
+        view.learner_says("01", line(update), 100.0 + update as f64);
+    }
+    let state = view.state_json(120.0);
+    assert_eq!((&state["seconds_left"], &state["steps_per_second"]), (&json!(80.0), &json!(64.0)));
+    // One that hangs is told of as soon as at any other time.
+    let mut hanging = at_update(10);
+    hanging.forget_gone(100.0);
+    assert_eq!(hanging.phase(101.0), RunPhase::Training);
+    assert_eq!(hanging.phase(100.0 + STALLED + 1.0), RunPhase::Stalled);
+    let mut left = RunView::new("r");
+    left.actor_joined("a", "01", 1000.0);
+    left.actor_left("a", "01", 1000.0);
+    left.forget_gone(100.0);
+    assert_eq!(left.actors_json(130.0)[0]["gone_s"], 30.0);
+}
+
+#[test]
 fn a_run_that_has_ended_has_no_speed_and_no_time_left() {
     let speed = |view: &RunView, now| view.state_json(now)["steps_per_second"].clone();
     for (how, phase) in [("finished", RunPhase::Finished), ("stopped", RunPhase::Stopped)] {
