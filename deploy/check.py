@@ -91,6 +91,32 @@ def alerts(file):
     return [] if done.returncode == 0 else (done.stdout + done.stderr).splitlines()
 
 
+def settings(unit):
+    """Returns the settings of a unit, the last of each name."""
+    return dict(line.split("=", 1) for line in unit.read_text().splitlines() if "=" in line and line[0] != "#")
+
+
+def promises(folder):
+    """What keeps a run going, and is right by every schema if it is missing."""
+    import yaml
+
+    found = []
+
+    def expect(is_so, sentence):
+        if not is_so:
+            found.append(sentence)
+
+    # A learner that is restarted dismisses its actors with exit code 0.
+    actor = settings(folder / "systemd/leadtime-actor@.service")
+    expect(actor.get("Restart") == "always", "leadtime-actor@.service: a dismissed actor does not come back")
+    expect(actor.get("RestartPreventExitStatus") == "2", "leadtime-actor@.service: wrong input is tried again")
+    services = yaml.safe_load((folder / "compose.yaml").read_text())["services"]
+    for name, service in services.items():
+        if service["command"][0] == "actor":
+            expect(service["restart"] == "unless-stopped", f"compose.yaml: {name}, dismissed, does not come back")
+    return found
+
+
 # Name, what it needs, what it checks, and a misspelling: in which file, which word becomes which.
 CHECKS = [
     ("units", lambda: shutil.which("systemd-analyze"), systemd, "systemd",
@@ -104,6 +130,8 @@ CHECKS = [
     ("names of metrics", lambda: True, names, "grafana",
      [("leadtime.json", "leadtime_wait_ratio", "leadtime_wait_ration"), ("alerts.yaml", "leadtime_books_imbalance", "leadtime_book_imbalance")]),
     ("alerts", lambda: shutil.which("promtool"), alerts, "grafana/alerts.yaml", [("", "increase(", "increases("), ("", "severity", "severity:")]),
+    ("promises", lambda: find_spec("yaml"), promises, ".",
+     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("compose.yaml", "unless-stopped", "on-failure")]),
 ]
 
 
