@@ -91,6 +91,16 @@ def alerts(file):
     return [] if done.returncode == 0 else (done.stdout + done.stderr).splitlines()
 
 
+def context(top):
+    """The two engines read a file each, and the keys of certificates stay out of what is built."""
+    found = []
+    ignored = [(top / name).read_text() for name in (".containerignore", ".dockerignore")]
+    if ignored[0] != ignored[1]:
+        found.append(".containerignore and .dockerignore differ")
+    found += [f".containerignore: {it} is not in it" for it in ("**/tls", "**/*.key") if it not in ignored[0].split()]
+    return found
+
+
 def settings(unit):
     """Returns the settings of a unit, the last of each name."""
     return dict(line.split("=", 1) for line in unit.read_text().splitlines() if "=" in line and line[0] != "#")
@@ -114,6 +124,17 @@ def promises(folder):
     for name, service in services.items():
         if service["command"][0] == "actor":
             expect(service["restart"] == "unless-stopped", f"compose.yaml: {name}, dismissed, does not come back")
+
+    # What the compose file's first lines make is what it reads.
+    text = (folder / "compose.yaml").read_text()
+    made = re.search(r"certs init (\S+)", text)[1]
+    for name, secret in yaml.safe_load(text)["secrets"].items():
+        read = (folder / secret["file"]).resolve().parent
+        expect(read == (folder.parent / made.replace("deploy", folder.name, 1)).resolve(), f"compose.yaml: {name} is not in {made}")
+    text = (folder / "container/Containerfile").read_text()
+    expect("chmod 1777 /image/var/lib/leadtime /image/var/lib/leadtime/runs" in text, "Containerfile: only one user may make a run")
+    given = [line for line in text.splitlines() if line.startswith("COPY --from") and "--chown" in line]
+    expect(all(" /image/var/lib/ " in line for line in given), "Containerfile: a user owns more than the place of the runs")
     return found
 
 
@@ -131,7 +152,10 @@ CHECKS = [
      [("leadtime.json", "leadtime_wait_ratio", "leadtime_wait_ration"), ("alerts.yaml", "leadtime_books_imbalance", "leadtime_book_imbalance")]),
     ("alerts", lambda: shutil.which("promtool"), alerts, "grafana/alerts.yaml", [("", "increase(", "increases("), ("", "severity", "severity:")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
-     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("compose.yaml", "unless-stopped", "on-failure")]),
+     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("compose.yaml", "unless-stopped", "on-failure"),
+      ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
+      ("container/Containerfile", "build /image/usr", "build --chown=1:1 /image/usr")]),
+    ("ignored files", lambda: True, context, "..", []),
 ]
 
 
