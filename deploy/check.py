@@ -86,9 +86,13 @@ def names(folder):
     return found
 
 
-def alerts(file):
-    done = run("promtool", "check", "rules", file)
-    return [] if done.returncode == 0 else (done.stdout + done.stderr).splitlines()
+def alerts(folder):
+    """Their syntax, and whether they notice what they are for."""
+    for command in (("check", "rules", folder / "alerts.yaml"), ("test", "rules", folder / "alerts_test.yaml")):
+        done = run("promtool", *command)
+        if done.returncode != 0:
+            return (done.stdout + done.stderr).splitlines()
+    return []
 
 
 def context(top):
@@ -150,7 +154,8 @@ CHECKS = [
       ("autoscaler.yaml", "maxReplicas", "maxReplica"), ("network.yaml", "policyTypes", "policyType")]),
     ("names of metrics", lambda: True, names, "grafana",
      [("leadtime.json", "leadtime_wait_ratio", "leadtime_wait_ration"), ("alerts.yaml", "leadtime_books_imbalance", "leadtime_book_imbalance")]),
-    ("alerts", lambda: shutil.which("promtool"), alerts, "grafana/alerts.yaml", [("", "increase(", "increases("), ("", "severity", "severity:")]),
+    ("alerts", lambda: shutil.which("promtool"), alerts, "grafana",
+     [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
      [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("compose.yaml", "unless-stopped", "on-failure"),
       ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
