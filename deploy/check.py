@@ -129,6 +129,12 @@ def promises(folder):
         if service["command"][0] == "actor":
             expect(service["restart"] == "unless-stopped", f"compose.yaml: {name}, dismissed, does not come back")
 
+    # A certificate that is renewed in time must never be alarmed about.
+    alert = re.search(r"certificate_end_timestamp_seconds - time\(\) < (\d+) \* 86400", (folder / "grafana/alerts.yaml").read_text())
+    page = (DEPLOY.parent / "docs/operations.md").read_text()
+    lifetime, before = re.search(r"`--lifetime (\d+)d`, and `certs renew --before (\d+)d`", page).groups()
+    expect(int(alert[1]) < int(before) < int(lifetime), "alerts.yaml: certificates as docs/operations.md recommends them are alarmed about")
+
     # What the compose file's first lines make is what it reads.
     text = (folder / "compose.yaml").read_text()
     made = re.search(r"certs init (\S+)", text)[1]
@@ -158,7 +164,7 @@ CHECKS = [
      [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
      [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("compose.yaml", "unless-stopped", "on-failure"),
-      ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
+      ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
       ("container/Containerfile", "build /image/usr", "build --chown=1:1 /image/usr")]),
     ("ignored files", lambda: True, context, "..", []),
 ]
