@@ -124,6 +124,11 @@ def promises(folder):
     actor = settings(folder / "systemd/leadtime-actor@.service")
     expect(actor.get("Restart") == "always", "leadtime-actor@.service: a dismissed actor does not come back")
     expect(actor.get("RestartPreventExitStatus") == "2", "leadtime-actor@.service: wrong input is tried again")
+    # The soft limit is 1,024 otherwise, which connections without a certificate use up.
+    for unit in sorted((folder / "systemd").glob("*.service")):
+        known = settings(unit)
+        if "--listen" in known.get("ExecStart", ""):
+            expect(int(known.get("LimitNOFILE", 0)) >= 4096, f"{unit.name}: too few open files for its connections")
     services = yaml.safe_load((folder / "compose.yaml").read_text())["services"]
     for name, service in services.items():
         if service["command"][0] == "actor":
@@ -163,7 +168,7 @@ CHECKS = [
     ("alerts", lambda: shutil.which("promtool"), alerts, "grafana",
      [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
-     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("compose.yaml", "unless-stopped", "on-failure"),
+     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("systemd/leadtime-router.service", "LimitNOFILE", "LimitNPROC"), ("compose.yaml", "unless-stopped", "on-failure"),
       ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
       ("container/Containerfile", "build /image/usr", "build --chown=1:1 /image/usr")]),
     ("ignored files", lambda: True, context, "..", []),
