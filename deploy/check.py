@@ -129,6 +129,8 @@ def promises(folder):
         known = settings(unit)
         if "--listen" in known.get("ExecStart", ""):
             expect(int(known.get("LimitNOFILE", 0)) >= 4096, f"{unit.name}: too few open files for its connections")
+    again = settings(folder / "systemd/leadtime-new-certs.service")["ExecStart"]
+    expect("--no-block" in again.split(), "leadtime-new-certs.service: waits for actors, and misses the next renewal")
     services = yaml.safe_load((folder / "compose.yaml").read_text())["services"]
     for name, service in services.items():
         if service["command"][0] == "actor":
@@ -168,7 +170,7 @@ CHECKS = [
     ("alerts", lambda: shutil.which("promtool"), alerts, "grafana",
      [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
-     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("systemd/leadtime-router.service", "LimitNOFILE", "LimitNPROC"), ("compose.yaml", "unless-stopped", "on-failure"),
+     [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("systemd/leadtime-router.service", "LimitNOFILE", "LimitNPROC"), ("systemd/leadtime-new-certs.service", " --no-block", ""), ("compose.yaml", "unless-stopped", "on-failure"),
       ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
       ("container/Containerfile", "build /image/usr", "build --chown=1:1 /image/usr")]),
     ("ignored files", lambda: True, context, "..", []),
