@@ -136,6 +136,12 @@ def promises(folder):
         if service["command"][0] == "actor":
             expect(service["restart"] == "unless-stopped", f"compose.yaml: {name}, dismissed, does not come back")
 
+    # A PodMonitor labels what it scrapes with the pod, so an adapter finds it there alone.
+    scaler = yaml.safe_load((folder / "kubernetes/autoscaler.yaml").read_text())["spec"]["metrics"][0]["object"]["describedObject"]
+    sets = [it for it in yaml.safe_load_all((folder / "kubernetes/learner.yaml").read_text()) if it["kind"] == "StatefulSet"]
+    pod = ("Pod", sets[0]["metadata"]["name"] + "-0")
+    expect((scaler["kind"], scaler["name"]) == pod, f"autoscaler.yaml: nothing serves the metric of {scaler['name']}")
+
     # A certificate that is renewed in time must never be alarmed about.
     alert = re.search(r"certificate_end_timestamp_seconds - time\(\) < (\d+) \* 86400", (folder / "grafana/alerts.yaml").read_text())
     page = (DEPLOY.parent / "docs/operations.md").read_text()
@@ -171,7 +177,7 @@ CHECKS = [
      [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
      [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("systemd/leadtime-router.service", "LimitNOFILE", "LimitNPROC"), ("systemd/leadtime-new-certs.service", " --no-block", ""), ("compose.yaml", "unless-stopped", "on-failure"),
-      ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
+      ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("kubernetes/autoscaler.yaml", "kind: Pod,", "kind: Service,"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
       ("container/Containerfile", "build /image/usr", "build --chown=1:1 /image/usr")]),
     ("ignored files", lambda: True, context, "..", []),
 ]
