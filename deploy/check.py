@@ -136,6 +136,10 @@ def promises(folder):
         if service["command"][0] == "actor":
             expect(service["restart"] == "unless-stopped", f"compose.yaml: {name}, dismissed, does not come back")
 
+    # Without a learner no actor is ready, and a budget of ready ones keeps every node.
+    budgets = [it for it in yaml.safe_load_all((folder / "kubernetes/actors.yaml").read_text()) if it["kind"] == "PodDisruptionBudget"]
+    expect(all(it["spec"].get("unhealthyPodEvictionPolicy") == "AlwaysAllow" for it in budgets), "actors.yaml: actors without a learner keep their nodes")
+
     # A PodMonitor labels what it scrapes with the pod, so an adapter finds it there alone.
     scaler = yaml.safe_load((folder / "kubernetes/autoscaler.yaml").read_text())["spec"]["metrics"][0]["object"]["describedObject"]
     sets = [it for it in yaml.safe_load_all((folder / "kubernetes/learner.yaml").read_text()) if it["kind"] == "StatefulSet"]
@@ -177,7 +181,7 @@ CHECKS = [
      [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
      [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("systemd/leadtime-router.service", "LimitNOFILE", "LimitNPROC"), ("systemd/leadtime-new-certs.service", " --no-block", ""), ("compose.yaml", "unless-stopped", "on-failure"),
-      ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("kubernetes/autoscaler.yaml", "kind: Pod,", "kind: Service,"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
+      ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("kubernetes/autoscaler.yaml", "kind: Pod,", "kind: Service,"), ("kubernetes/actors.yaml", "AlwaysAllow", "IfHealthyBudget"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),
       ("container/Containerfile", "build /image/usr", "build --chown=1:1 /image/usr")]),
     ("ignored files", lambda: True, context, "..", []),
 ]
