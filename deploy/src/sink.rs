@@ -141,7 +141,7 @@ impl ProgressSink for RunSink {
 
     fn on_tick(&mut self, health: &RunHealth) {
         self.service.tick(health.has_enough_actors);
-        if let Some(status) = &self.status {
+        if let Some(status) = &mut self.status {
             status.tick(health);
         }
         if let Some(trace) = &mut self.trace {

@@ -46,6 +46,8 @@ pub struct RunHealth {
     pub unsaved: Option<Duration>,
     /// Updates wait until the state can be saved.
     pub is_paused: bool,
+    /// Messages refused so far, by cause, those before a resume included.
+    pub refusals: BTreeMap<RefusalCause, u64>,
 }
 
 /// One update, and how the run stands after it.

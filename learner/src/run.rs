@@ -580,6 +580,7 @@ impl RunLoop {
             queued_bytes: self.link.n_queued_bytes(),
             unsaved: self.saving.unsaved(now),
             is_paused: self.saving.is_paused(now),
+            refusals: self.coordinator.books().refusals.clone(),
         }
     }
 

@@ -123,17 +123,18 @@ fn health_tells_a_program_that_stands_still_or_is_another_one_from_nobody() {
     drop(listener.accept().unwrap());
     let named = thread::Builder::new().name("foreign".to_owned());
     let answering = named.spawn(move || {
-        let (stream, _) = listener.accept().unwrap();
-        // The whole question.
-        let mut lines = BufReader::new(&stream).lines();
-        assert!(lines.any(|line| line.unwrap().is_empty()));
-        (&stream).write_all(b"SSH-2.0-OpenSSH_9.6\r\n").unwrap();
-        drop(stream);
+        for answer in ["SSH-2.0-OpenSSH_9.6\r\n", "HTTP/1.1 200 OK\r\n\r\nhello\n"] {
+            let (stream, _) = listener.accept().unwrap();
+            // The whole question.
+            let mut lines = BufReader::new(&stream).lines();
+            assert!(lines.any(|line| line.unwrap().is_empty()));
+            (&stream).write_all(answer.as_bytes()).unwrap();
+        }
         // Closed before all of the question is read, the connection is broken off.
         listener.accept().unwrap().0.read_exact(&mut [0]).unwrap();
     });
     let told = format!("what listens at {at} is no status page of a learner or an actor");
-    for _ in 0..2 {
+    for _ in 0..3 {
         place.finish(&["health", &at]).with_code(3).saying(&[&told]);
     }
     answering.unwrap().join().unwrap();

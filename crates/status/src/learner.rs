@@ -1,6 +1,6 @@
 //! A learner's status: fed by what its run reports, read on request.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -39,6 +39,9 @@ pub struct LearnerFacts {
 pub struct LearnerStatus {
     shared: Arc<LearnerPage>,
     window: WaitWindow,
+    /// What had been refused before this process; `None` before the first tick. A resumed run's books hold a little less than
+    /// the last scrape before, which Prometheus would take for as many new refusals as they hold.
+    refused_before: Option<BTreeMap<RefusalCause, u64>>,
     _served: DropGuard,
 }
 
@@ -80,7 +83,7 @@ impl LearnerStatus {
             facts,
         });
         let served = server.serve(Arc::clone(&shared) as Arc<dyn StatusSource>);
-        Self { shared, window: WaitWindow::new(start), _served: served }
+        Self { shared, window: WaitWindow::new(start), refused_before: None, _served: served }
     }
 
     /// Takes in an update.
@@ -101,8 +104,6 @@ impl LearnerStatus {
             books.duplicates,
         ];
         numbers.set_all(Metric::Books, entries.map(|n| n as f64));
-        let refused = |cause| books.refusals.get(cause).copied().unwrap_or(0) as f64;
-        numbers.set_all(Metric::Refusals, RefusalCause::ALL.iter().map(refused));
         for (&staleness, &n) in &update.staleness {
             numbers.observe_staleness(staleness, n);
         }
@@ -128,13 +129,21 @@ impl LearnerStatus {
     }
 
     /// Takes in how the run stands.
-    pub fn tick(&self, health: &RunHealth) {
+    pub fn tick(&mut self, health: &RunHealth) {
         let LearnerPage { numbers, liveness, .. } = &*self.shared;
         liveness.tick();
         numbers.set(Metric::Actors, health.n_actors as f64);
         numbers.set(Metric::EnvironmentsWaiting, health.n_envs_waiting as f64);
         numbers.set(Metric::QueuedRollouts, health.n_queued as f64);
         numbers.set(Metric::QueuedBytes, health.queued_bytes as f64);
+        // Not with the updates: a run whose actors are all refused makes none.
+        let before = self.refused_before.get_or_insert_with(|| health.refusals.clone());
+        let refused = |cause: &RefusalCause| {
+            let n_before = before.get(cause).copied().unwrap_or(0);
+            let n_all = health.refusals.get(cause).copied().unwrap_or(0);
+            n_all.saturating_sub(n_before) as f64
+        };
+        numbers.set_all(Metric::Refusals, RefusalCause::ALL.iter().map(refused));
         self.shared.n_actors.store(health.n_actors as u64, Ordering::Relaxed);
         self.shared.has_enough_actors.store(health.has_enough_actors, Ordering::Relaxed);
         self.shared.is_paused.store(health.is_paused, Ordering::Relaxed);
@@ -264,6 +273,29 @@ impl WaitWindow {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn refusals_are_told_without_an_update_and_not_again_after_a_resume() {
+        let server = StatusServer::bind("127.0.0.1:0".parse().unwrap()).await.unwrap();
+        let facts = LearnerFacts {
+            run: "r".to_owned(),
+            directory: PathBuf::from("."),
+            checkpoint_interval: Duration::from_secs(30),
+            certificate: None,
+        };
+        let mut status = LearnerStatus::serve(server, facts);
+        let health = |n| RunHealth {
+            refusals: BTreeMap::from([(RefusalCause::Protocol, n)]),
+            ..RunHealth::default()
+        };
+        for (n, told) in [(499, 0), (502, 3)] {
+            status.tick(&health(n));
+            let page = status.shared.metrics().unwrap();
+            let line = format!("leadtime_refusals_total{{run=\"r\",cause=\"protocol\"}} {told}");
+            assert!(page.lines().any(|it| it == line), "no `{line}` in\n{page}");
+            assert!(!page.contains("leadtime_updates_total"), "{page}");
+        }
+    }
 
     #[test]
     fn the_share_of_waiting_is_that_of_the_last_minute() {

@@ -94,7 +94,7 @@ metrics! {
     Updates = "updates" Counter MetricLabel::None, Learner, "optimiser iterations";
     Episodes = "episodes" Counter MetricLabel::None, Learner, "training episodes that ended";
     Books = "books" Counter ENTRY, Learner, "rollouts by what became of them";
-    Refusals = "refusals" Counter MetricLabel::Cause, Learner, "messages refused, by cause";
+    Refusals = "refusals" Counter MetricLabel::Cause, Learner, "messages refused since the learner started, by cause";
     Staleness = "staleness" Histogram MetricLabel::None, Learner, "learner version at use minus behaviour version, of the rollouts trained on";
     SuccessRatio = "success_ratio" Gauge MetricLabel::None, Learner, "mean success of the last 100 training episodes";
     Return = "return" Gauge MetricLabel::None, Learner, "mean undiscounted return of the last 100 training episodes";

@@ -27,7 +27,8 @@ pub(super) fn run(args: &HealthArgs) -> Result<(), Failure> {
     let status = head.split(' ').nth(1).unwrap_or_default();
     let sentence = printable(body.trim());
     match status {
-        "200" => {
+        // Other programs answer 200 as well, some of them at every path.
+        "200" if body.trim() == "ok" => {
             output::line(&sentence);
             Ok(())
         }
