@@ -214,9 +214,12 @@ fn a_command_without_anything_to_finish_hears_signals_as_well() {
     let place = Place::new();
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/v1", silent.local_addr().unwrap());
-    let rate = |more: &str| {
-        let asked = "taxonomy rate highway --topic slow_down --backend http --model m --url";
-        let rate = place.start(&[asked, &url, more, "Slow."]);
+    let rate = |handling: &str, more: &str| {
+        let mut shell = place.program_at(Path::new("sh"), &["-c"]);
+        shell.args([handling, env!("CARGO_BIN_EXE_leadtime")]);
+        let asked = "taxonomy rate highway --topic slow_down --backend http --model m Slow. --url";
+        shell.args(asked.split(' ')).arg(&url).args(more.split_whitespace());
+        let rate = place.start_with(shell);
         // It waits for an answer that never comes. Somebody else's connection, to whom this port was named before, does not count.
         let asks = |stream: &TcpStream| {
             let mut begin = [0; 4];
@@ -226,7 +229,9 @@ fn a_command_without_anything_to_finish_hears_signals_as_well() {
         (rate, stream)
     };
     let log = place.file("log");
-    let (mut logged, _waits) = rate(&format!("--log-file {log}"));
+    // The log file is opened again below `nohup` as well.
+    let (mut logged, _waits) =
+        rate("trap '' HUP; exec \"$0\" \"$@\"", &format!("--log-file {log}"));
     fs::rename(&log, place.file("log.1")).unwrap();
     signal("HUP", logged.id());
     wait_until("the file is made again", PATIENCE, || Path::new(&log).exists());
@@ -234,7 +239,7 @@ fn a_command_without_anything_to_finish_hears_signals_as_well() {
     signal("TERM", logged.id());
     logged.finish(PATIENCE).with_code(130);
     // Without a log file it was the terminal that was closed.
-    let (hung_up, _waits) = rate("");
+    let (hung_up, _waits) = rate("exec env --default-signal=HUP \"$0\" \"$@\"", "");
     signal("HUP", hung_up.id());
     hung_up.finish(PATIENCE).with_code(130);
 }

@@ -94,8 +94,7 @@ pub fn watch(who: Watch, end_now: fn()) -> io::Result<CancellationToken> {
     let token = CancellationToken::new();
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
-    let ends_with_terminal = !ignores_hangup() && !log_file::reopen_on_hangup()?;
-    let mut hangup = ends_with_terminal.then(|| signal(SignalKind::hangup())).transpose()?;
+    let mut hangup = end_of_terminal()?;
     // Who listens is not ended by it: a limit on files (`ulimit -f`) is an error of the write, as a full disk is. The handler stays.
     drop(signal(SignalKind::from_raw(FILE_TOO_LARGE))?);
     let cancel = token.clone();
@@ -149,8 +148,7 @@ pub fn end_at_once(end_now: fn()) -> io::Result<()> {
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
     let entered = runtime.enter();
     let mut terminate = signal(SignalKind::terminate())?;
-    let ends_with_terminal = !ignores_hangup() && !log_file::reopen_on_hangup()?;
-    let mut hangup = ends_with_terminal.then(|| signal(SignalKind::hangup())).transpose()?;
+    let mut hangup = end_of_terminal()?;
     drop(entered);
     let waiting = async move {
         tokio::select! {
@@ -161,6 +159,13 @@ pub fn end_at_once(end_now: fn()) -> io::Result<()> {
     };
     thread::Builder::new().name("signals".to_owned()).spawn(move || runtime.block_on(waiting))?;
     Ok(())
+}
+
+/// Listens for the end of the terminal; `None` where SIGHUP reopens the log file instead, also below `nohup`, and where this process
+/// is to outlive its terminal.
+fn end_of_terminal() -> io::Result<Option<Signal>> {
+    let ends = !log_file::reopen_on_hangup()? && !ignores_hangup();
+    ends.then(|| signal(SignalKind::hangup())).transpose()
 }
 
 /// Tells whether this process was started to outlive its terminal, as `nohup` does.
