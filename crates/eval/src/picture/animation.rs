@@ -168,9 +168,9 @@ fn caption(scene: &Scene, activity: Activity, sentence: Option<&str>) -> String 
     if let Some(words) = sentence {
         return format!("{does}   \u{b7}   \u{201c}{words}\u{201d}");
     }
-    let Some(speech) = listener.speech else { return does };
-    let (topic, n) = (topic_name(scene, speech.topic), speech.heard);
-    format!("{does}   \u{b7}   \u{201c}{topic}\u{201d}, word {n} of {}", speech.conveyance)
+    let Some(word) = listener.word else { return does };
+    let (topic, n) = (topic_name(scene, word.topic), word.heard);
+    format!("{does}   \u{b7}   \u{201c}{topic}\u{201d}, word {n} of {}", word.conveyance)
 }
 
 #[cfg(test)]
