@@ -176,7 +176,16 @@ fn caption(scene: &Scene, activity: Activity, sentence: Option<&str>) -> String 
 #[cfg(test)]
 mod tests {
     use crate::draw::Rasterizer;
-    use crate::playthrough::{Spoken, synthetic};
+    use crate::playthrough::{Playthrough, Spoken, synthetic};
+
+    #[test]
+    fn without_a_sentence_every_word_is_counted_the_last_one_too() {
+        let scenes = synthetic::scenes(20, &[(2, 1, 2, 3)]);
+        let spoken = Spoken::from(Playthrough { scenes, ..synthetic::playthrough() });
+        let heard = (2..7).map(|i| spoken.caption(i).split(", word ").nth(1).map(str::to_owned));
+        let words = [None, Some("1 of 3"), Some("2 of 3"), Some("3 of 3"), None];
+        assert_eq!(heard.collect::<Vec<_>>(), words.map(|word| word.map(str::to_owned)));
+    }
 
     #[test]
     fn an_animation_has_few_frames_and_ends_with_the_last_scene() {
