@@ -13,7 +13,7 @@ use thiserror::Error;
 use crate::description::{Description, Quantity};
 use crate::fact::Fact;
 use crate::notifier::Session;
-use crate::scene::{Scene, Speech};
+use crate::scene::{Scene, Word};
 use crate::scriptable::Scriptable;
 
 /// Names the random streams of one episode of one environment of one run.
@@ -94,8 +94,8 @@ pub struct Insight {
     pub comprehended: u32,
     /// The last step was the first in which the listener did what some message asks for.
     pub reaction_began: bool,
-    /// The utterance that is being spoken; `None` in silence.
-    pub speech: Option<Speech>,
+    /// The word that was heard in the last step, be it the last one of its message; `None` in silence.
+    pub word: Option<Word>,
 }
 
 /// The layout of every environment's snapshots; a change to any of them adds 1.
@@ -247,7 +247,8 @@ pub trait Environment: Send {
 
     /// Returns the listener's hidden state, if there is a listener.
     ///
-    /// A step that was taken before a snapshot was restored is not remembered: no reaction began in it.
+    /// A step that was taken before a snapshot was restored is not remembered: no reaction began in it, and no word
+    /// was heard.
     fn insight(&self) -> Option<Insight> {
         None
     }

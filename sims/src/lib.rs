@@ -38,5 +38,5 @@ pub use fact::Fact;
 pub use message::{Message, ReactionStatus, ReactionStep};
 pub use notifier::NotifierEnv;
 pub use registry::{DomainEntry, Registry};
-pub use scene::{Gauge, Listener, Scene, Shape, Speech, Tone, View};
+pub use scene::{Gauge, Listener, Scene, Shape, Tone, View, Word};
 pub use scriptable::Scriptable;

@@ -72,18 +72,20 @@ pub struct View {
     pub max: [f64; 2],
 }
 
-/// An utterance while it is spoken.
+/// The word that the listener has heard in a step, and of what it is one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Speech {
+pub struct Word {
     /// Index of the topic in [`Listener::topics`].
     pub topic: usize,
     /// Comprehension time k, in words.
     pub comprehension: u32,
     /// Conveyance time l, in words.
     pub conveyance: u32,
-    /// Words heard so far.
+    /// Words after which this listener has understood it: k, unless they understand sooner; 0 if before the first.
+    pub needed: u32,
+    /// Words heard so far, this one among them.
     pub heard: u32,
-    /// It was started in the last step.
+    /// The message was started in that step.
     pub started: bool,
 }
 
@@ -92,8 +94,8 @@ pub struct Speech {
 pub struct Listener {
     /// Names of the topics, by id.
     pub topics: Vec<&'static str>,
-    /// The utterance that is being spoken; `None` in silence.
-    pub speech: Option<Speech>,
+    /// The word that was heard in the last step, be it the last one of its message; `None` in silence.
+    pub word: Option<Word>,
     /// Topic of the comprehended message that waits for the reaction delay.
     pub pending: Option<usize>,
     /// Topic of the reaction carried out in the last step.

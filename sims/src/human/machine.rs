@@ -280,6 +280,18 @@ impl Human {
         self.state.speech
     }
 
+    /// Returns the running utterance as the coming word will leave it.
+    pub(crate) fn next_word(&self) -> Option<SpokenMessage> {
+        let mut utterance = self.state.speech?;
+        utterance.hear_word(&self.settings);
+        Some(utterance)
+    }
+
+    /// Returns the words after which a message is understood; 0 if before the first.
+    pub(crate) fn words_needed(&self, message: Message) -> u32 {
+        self.settings.effective_comprehension(message)
+    }
+
     /// Returns the message that will be acted upon next.
     pub fn pending(&self) -> Option<Message> {
         self.state.pending.front().map(|pending| pending.message)

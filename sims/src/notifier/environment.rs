@@ -16,9 +16,9 @@ use crate::error::TaskError;
 use crate::fact::Fact;
 use crate::human::{
     BlockedInitiation, Human, HumanSettings, HumanState, Initiation, ReactionReward, ReasonTable,
-    SpeechAct,
+    SpeechAct, SpokenMessage,
 };
-use crate::scene::{Listener, Scene, Speech};
+use crate::scene::{Listener, Scene, Word};
 use crate::scriptable::{STEP, Scriptable};
 use crate::{Domain, Message};
 
@@ -100,6 +100,8 @@ pub struct NotifierEnv<D> {
     last: StepMemory,
     /// The last step was the first of a reaction; the future does not depend on it.
     reaction_began: bool,
+    /// What was spoken in the last step, as its word has left it; the future does not depend on it.
+    word: Option<SpokenMessage>,
 }
 
 impl<D: Domain> NotifierEnv<D> {
@@ -131,6 +133,7 @@ impl<D: Domain> NotifierEnv<D> {
             blocked: human.blocked_initiation,
             last: StepMemory::default(),
             reaction_began: false,
+            word: None,
         })
     }
 
@@ -223,6 +226,8 @@ impl<D: Domain> NotifierEnv<D> {
     }
 
     fn hear_word(&mut self) {
+        // Before it is heard: an utterance that ends with it is gone then, and after a stop nothing is left to hear.
+        self.word = self.human.next_word();
         let delivered = self.human.hear_word();
         self.session.hear_word();
         debug_assert_eq!(self.session.speech(), self.human.spoken(), "both count the same words");
@@ -242,11 +247,12 @@ impl<D: Domain> NotifierEnv<D> {
         }
     }
 
-    fn speech(&self) -> Option<Speech> {
-        self.human.speech().map(|(message, heard)| Speech {
+    fn word(&self) -> Option<Word> {
+        self.word.map(|SpokenMessage { message, heard, .. }| Word {
             topic: message.topic,
             comprehension: message.comprehension,
             conveyance: message.conveyance,
+            needed: self.human.words_needed(message),
             heard,
             started: self.last.started,
         })
@@ -315,7 +321,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.reset(seed);
         self.human.reset(seed.stream(Purpose::Human));
         self.last = StepMemory::default();
-        self.reaction_began = false;
+        (self.reaction_began, self.word) = (false, None);
         let domain = &self.domain;
         self.session.begin(|out| domain.observe(out));
         self.session.write_row(observation);
@@ -382,7 +388,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
         self.domain.restore(&snapshot.domain)?;
         self.human.restore(snapshot.human);
         self.last = snapshot.last;
-        self.reaction_began = false;
+        (self.reaction_began, self.word) = (false, None);
         self.session.write_row(observation);
         Ok(())
     }
@@ -414,7 +420,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             reaction_delay: self.human.reaction_delay(),
             comprehended: self.human.tally().comprehended,
             reaction_began: self.reaction_began,
-            speech: self.speech(),
+            word: self.word(),
         })
     }
 
@@ -433,7 +439,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
     fn scene(&self) -> Option<Scene> {
         let listener = Listener {
             topics: self.domain.topics().to_vec(),
-            speech: self.speech(),
+            word: self.word(),
             pending: self.human.pending().map(|message| message.topic),
             reacting: self.last.reacting,
         };

@@ -268,8 +268,49 @@ fn a_scene_shows_speech_and_reaction() {
     let mut env = default_env();
     play(&mut env, 2, &only::<3>([1, 1, 0, 3]));
     let listener = env.scene().unwrap().listener;
-    assert_eq!(listener.speech.map(|speech| (speech.topic, speech.heard)), Some((1, 3)));
+    assert_eq!(listener.word.map(|word| (word.topic, word.heard)), Some((1, 3)));
     assert_eq!((listener.pending, listener.reacting), (Some(1), None));
+}
+
+#[test]
+fn the_word_of_every_step_is_noted_and_no_other() {
+    // "hold", k = 2, l = 3, heard to its end, and once more, broken off after two words.
+    let (say, stop) = ([1, 1, 0, 1], [2, 0, 0, 0]);
+    let human = HumanSettings { can_stop: true, ..Default::default() };
+    let mut env = env(&human, &NotifierSettings::default());
+    let mut observation = reset(&mut env);
+    let heard = [say, SILENT, SILENT, SILENT, say, SILENT, stop, SILENT].map(|action| {
+        env.step(&action, &mut observation);
+        let listener = env.scene().unwrap().listener;
+        assert_eq!(listener.word, env.insight().unwrap().word);
+        listener.word.map(|word| (word.heard, word.started, word.needed))
+    });
+    let (first, second) = (Some((1, true, 2)), Some((2, false, 2)));
+    let third = Some((3, false, 2));
+    assert_eq!(heard, [first, second, third, None, first, second, None, None]);
+    // It is no part of a state, and of no other episode.
+    env.step(&say, &mut observation);
+    assert!(env.insight().unwrap().word.is_some());
+    let bytes = snapshot(&env);
+    env.restore(&bytes, &mut observation).unwrap();
+    assert_eq!(env.insight().unwrap().word, None);
+    env.step(&SILENT, &mut observation);
+    assert!(env.insight().unwrap().word.is_some());
+    reset(&mut env);
+    assert_eq!(env.insight().unwrap().word, None);
+}
+
+#[test]
+fn a_message_that_is_over_with_its_first_word_has_that_word() {
+    let human = HumanSettings { occupies: false, ..HumanSettings::delay_free() };
+    let mut env = env(&human, &NotifierSettings::default());
+    let mut observation = reset(&mut env);
+    for (action, heard) in [([1, 0, 0, 3], Some((1, 5, true, 0))), (SILENT, None)] {
+        env.step(&action, &mut observation);
+        let word = env.insight().unwrap().word;
+        let word = word.map(|word| (word.heard, word.conveyance, word.started, word.needed));
+        assert_eq!(word, heard);
+    }
 }
 
 #[test]

@@ -74,7 +74,7 @@ mod tests {
         assert!(heard.iter().flatten().count() > 5);
         for (index, heard) in (0..).zip(&heard) {
             let played = Playthrough::record(&lander, &player, 3, index).unwrap();
-            let moments: Vec<_> = played.scenes.iter().map(|scene| scene.listener.speech).collect();
+            let moments: Vec<_> = played.scenes.iter().map(|scene| scene.listener.word).collect();
             assert_eq!(*heard, LoggedMessage::all(&moments));
         }
         let n_metrics = evaluation.metrics.len();
@@ -85,7 +85,8 @@ mod tests {
     }
 
     fn said(start: usize, conveyance: usize) -> LoggedMessage {
-        LoggedMessage { topic: 0, start, comprehension: 2, conveyance, end: start + conveyance }
+        let end = start + conveyance;
+        LoggedMessage { topic: 0, start, comprehension: 2, conveyance, needed: 2, end }
     }
 
     #[test]

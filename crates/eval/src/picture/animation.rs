@@ -168,15 +168,24 @@ fn caption(scene: &Scene, activity: Activity, sentence: Option<&str>) -> String 
     if let Some(words) = sentence {
         return format!("{does}   \u{b7}   \u{201c}{words}\u{201d}");
     }
-    let Some(speech) = listener.speech else { return does };
-    let (topic, n) = (topic_name(scene, speech.topic), speech.heard);
-    format!("{does}   \u{b7}   \u{201c}{topic}\u{201d}, word {n} of {}", speech.conveyance)
+    let Some(word) = listener.word else { return does };
+    let (topic, n) = (topic_name(scene, word.topic), word.heard);
+    format!("{does}   \u{b7}   \u{201c}{topic}\u{201d}, word {n} of {}", word.conveyance)
 }
 
 #[cfg(test)]
 mod tests {
     use crate::draw::Rasterizer;
-    use crate::playthrough::{Spoken, synthetic};
+    use crate::playthrough::{Playthrough, Spoken, synthetic};
+
+    #[test]
+    fn without_a_sentence_every_word_is_counted_the_last_one_too() {
+        let scenes = synthetic::scenes(20, &[(2, 1, 2, 3)]);
+        let spoken = Spoken::from(Playthrough { scenes, ..synthetic::playthrough() });
+        let heard = (2..7).map(|i| spoken.caption(i).split(", word ").nth(1).map(str::to_owned));
+        let words = [None, Some("1 of 3"), Some("2 of 3"), Some("3 of 3"), None];
+        assert_eq!(heard.collect::<Vec<_>>(), words.map(|word| word.map(str::to_owned)));
+    }
 
     #[test]
     fn an_animation_has_few_frames_and_ends_with_the_last_scene() {

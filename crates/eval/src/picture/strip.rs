@@ -86,13 +86,16 @@ fn draw_rows(canvas: &mut Canvas, frame: &Panel, row: impl Fn(usize) -> Area, sp
         Area::new(from, row(i).y, (to - from - 1.0).max(1.0), ROW_HEIGHT)
     };
     for (i, utterance) in timeline.utterances.iter().enumerate() {
-        let understood = utterance.start + utterance.comprehension;
+        let understood = utterance.understood();
         let ink = marker::ink(Activity::Hearing);
         let words = bar(0, utterance.start, utterance.end);
         canvas.rectangle(words, 2.0, Paint::fill(Ink::PaleOrange));
-        let unclear = bar(0, utterance.start, understood.min(utterance.end));
-        canvas.rectangle(unclear, 2.0, Paint::fill(ink));
-        if understood > utterance.end {
+        let clear_from = understood.unwrap_or(utterance.end);
+        if clear_from > utterance.start {
+            let unclear = bar(0, utterance.start, clear_from);
+            canvas.rectangle(unclear, 2.0, Paint::fill(ink));
+        }
+        if understood.is_none() {
             // Cut off before it could be understood: struck through.
             let y = words.y + ROW_HEIGHT / 2.0;
             canvas.line(&[[words.x, y], [words.right(), y]], Paint::stroke(ink.label(), 1.4));
@@ -122,4 +125,28 @@ fn name_bar(canvas: &mut Canvas, area: &Area, ink: Ink, sentence: Option<&str>, 
     let Some(text) = texts.into_iter().find(fits) else { return };
     let style = TextStyle::new(SIZE, ink).anchored(Anchor::Middle);
     canvas.text([area.x + area.width / 2.0, area.y + 13.3], text, style);
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_sims::human::{Comprehension, HumanSettings, SpeechAct};
+
+    use crate::playthrough::synthetic::{ascend, lander, playthrough};
+    use crate::playthrough::{Playthrough, Spoken};
+
+    #[test]
+    fn what_was_not_understood_is_struck_through_and_nothing_else() {
+        let is_struck = |change: fn(&mut HumanSettings)| {
+            let acts = [ascend(3, 3), SpeechAct::Continue, SpeechAct::Stop];
+            let scenes = lander(change, &acts);
+            let svg = Spoken::from(Playthrough { scenes, ..playthrough() }).svg("p").text;
+            svg.contains("stroke-width=\"1.4\"")
+        };
+        assert!(!is_struck(|_| {}), "it is heard to its end");
+        assert!(is_struck(|human| human.can_stop = true));
+        let sooner = |human: &mut HumanSettings| {
+            (human.can_stop, human.comprehension) = (true, Comprehension::Immediate);
+        };
+        assert!(!is_struck(sooner));
+    }
 }

@@ -1,6 +1,11 @@
-//! An episode made by hand, for tests of the drawing: a gliding box, zones, and messages at given steps.
+//! An episode made by hand, for tests of the drawing: a gliding box, zones, and messages at given steps. And one of the
+//! lander, in which is said what a test wants.
 
-use leadtime_sims::{Gauge, Listener, Scene, Shape, Speech, Tone, View};
+use leadtime_lander::task::LanderTaskSettings;
+use leadtime_sims::human::{HumanSettings, SpeechAct};
+use leadtime_sims::{
+    Environment as _, EpisodeSeed, Gauge, Listener, Message, Scene, Shape, Tone, View, Word,
+};
 
 use super::Playthrough;
 
@@ -21,6 +26,26 @@ pub(crate) fn playthrough() -> Playthrough {
     Playthrough { player, seed: 7, index: 3, scenes, total_reward: 215.4, success: Some(true) }
 }
 
+/// Says a message that asks to ascend.
+pub(crate) fn ascend(comprehension: u32, conveyance: u32) -> SpeechAct {
+    SpeechAct::Start(Message { topic: 0, comprehension, conveyance })
+}
+
+/// Plays the lander's first steps, with a listener who is changed, and with one of the acts in each.
+pub(crate) fn lander(change: impl FnOnce(&mut HumanSettings), acts: &[SpeechAct]) -> Vec<Scene> {
+    let mut settings = LanderTaskSettings::default();
+    change(&mut settings.human);
+    let mut env = settings.build().unwrap();
+    let mut observation = vec![0.0; env.spec().obs_dim];
+    env.reset(EpisodeSeed::default(), &mut observation);
+    let mut scenes: Vec<_> = env.scene().into_iter().collect();
+    for act in acts {
+        env.step_with(*act, &mut observation);
+        scenes.extend(env.scene());
+    }
+    scenes
+}
+
 fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene {
     let mut listener = Listener {
         topics: vec!["ascend", "shift_left", "shift_right", "descend"],
@@ -28,11 +53,12 @@ fn scene(i: usize, n: usize, messages: &[(usize, usize, usize, usize)]) -> Scene
     };
     for (m, &(start, topic, k, l)) in messages.iter().enumerate() {
         let cut = messages.get(m + 1).map_or(usize::MAX, |next| next.0);
-        if i > start && i < start + l && i <= cut {
-            listener.speech = Some(Speech {
+        if i > start && i <= start + l && i <= cut {
+            listener.word = Some(Word {
                 topic,
                 comprehension: k as u32,
                 conveyance: l as u32,
+                needed: k as u32,
                 heard: (i - start) as u32,
                 started: i == start + 1,
             });

@@ -4,7 +4,7 @@
 //! true of a step (following one message while hearing the next), so a path has the colour of the first that
 //! holds: following, waiting, hearing, own plan.
 
-use leadtime_sims::Scene;
+use leadtime_sims::{Listener, Scene};
 
 use crate::measure::LoggedMessage;
 
@@ -68,16 +68,17 @@ impl Timeline {
 
     /// Reads an episode's scenes.
     pub fn new(scenes: &[Scene]) -> Self {
-        let speech: Vec<_> = scenes.iter().map(|scene| scene.listener.speech).collect();
+        let words: Vec<_> = scenes.iter().map(|scene| scene.listener.word).collect();
         // A message that is pending from scene `a` to scene `b` waits from the one to the other.
         let mut waits = spans(scenes.iter().map(|scene| scene.listener.pending));
         waits.retain_mut(|span| {
+            span.start -= usize::from(waits_from_its_start(&scenes[span.start]));
             span.end -= 1;
             span.start < span.end
         });
         Self {
             activities: scenes.windows(2).map(|pair| activity(&pair[0], &pair[1])).collect(),
-            utterances: LoggedMessage::all(&speech),
+            utterances: LoggedMessage::all(&words),
             waits,
             reactions: spans(scenes.iter().skip(1).map(|scene| scene.listener.reacting)),
         }
@@ -91,17 +92,21 @@ pub fn topic_name(scene: &Scene, topic: usize) -> String {
 }
 
 fn activity(before: &Scene, after: &Scene) -> Activity {
-    let begun = after.listener.speech.is_some_and(|speech| speech.started);
-    let unclear = before.listener.speech.is_some_and(|s| s.heard < s.comprehension);
     if after.listener.reacting.is_some() {
         Activity::Following
-    } else if before.listener.pending.is_some() {
+    } else if before.listener.pending.is_some() || waits_from_its_start(after) {
         Activity::Waiting
-    } else if begun || unclear {
+    } else if after.listener.word.is_some_and(|word| word.heard <= word.needed) {
         Activity::Hearing
     } else {
         Activity::OwnPlan
     }
+}
+
+/// Returns whether what waits in this scene was understood before its first word, which the step before it brought.
+fn waits_from_its_start(scene: &Scene) -> bool {
+    let Listener { word, pending, .. } = &scene.listener;
+    word.is_some_and(|word| word.started && word.needed == 0 && *pending == Some(word.topic))
 }
 
 /// Joins equal neighbours: item `i` lasts from scene `i` to `i + 1`.
@@ -119,6 +124,8 @@ fn spans(topics: impl Iterator<Item = Option<usize>>) -> Vec<Span> {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_sims::human::{Comprehension, HumanSettings, SpeechAct};
+
     use super::*;
     use crate::playthrough::synthetic;
 
@@ -126,12 +133,32 @@ mod tests {
     fn a_message_is_heard_then_waited_for_then_followed() {
         // Said at 3 with k = 2, l = 3; comprehended at 5; two steps of delay; followed for three steps.
         let timeline = Timeline::new(&synthetic::scenes(14, &[(3, 1, 2, 3)]));
-        let said = LoggedMessage { topic: 1, start: 3, comprehension: 2, conveyance: 3, end: 6 };
+        let (topic, start, end) = (1, 3, 6);
+        let said = LoggedMessage { topic, start, comprehension: 2, conveyance: 3, needed: 2, end };
         assert_eq!(timeline.utterances, [said]);
         assert_eq!(timeline.waits, [Span { topic: 1, start: 5, end: 7 }]);
         assert_eq!(timeline.reactions, [Span { topic: 1, start: 7, end: 10 }]);
         let letters = timeline.activities.iter().map(|activity| &activity.label()[..1]);
         assert_eq!(letters.collect::<String>(), "ooohhrrfffooo");
+    }
+
+    #[test]
+    fn who_understands_at_once_waits_from_the_start() {
+        let at_once = |human: &mut HumanSettings| human.comprehension = Comprehension::Immediate;
+        let quiet = SpeechAct::Continue;
+        let acts = [quiet, synthetic::ascend(3, 5), quiet, quiet, quiet];
+        let timeline = Timeline::new(&synthetic::lander(at_once, &acts));
+        let letters = timeline.activities.iter().map(|activity| &activity.label()[..1]);
+        assert_eq!(letters.collect::<String>(), "orrff");
+        assert_eq!(timeline.waits, [Span { topic: 0, start: 1, end: 3 }]);
+    }
+
+    #[test]
+    fn nothing_is_heard_in_the_step_that_stops_a_message() {
+        let acts = [synthetic::ascend(3, 3), SpeechAct::Continue, SpeechAct::Stop];
+        let timeline = Timeline::new(&synthetic::lander(|human| human.can_stop = true, &acts));
+        let (heard, own) = (Activity::Hearing, Activity::OwnPlan);
+        assert_eq!(timeline.activities, [heard, heard, own]);
     }
 
     #[test]

@@ -93,11 +93,13 @@ impl Spoken {
             let mut moment = Moment { step, ..Moment::default() };
             if let Some(said) = timeline.spoken(step) {
                 let utterance = &timeline.utterances[said];
-                moment.hears = self.word(said, utterance, step - utterance.start);
-                if utterance.understood() == Some(step) {
+                let (n, l) = (step - utterance.start, utterance.conveyance);
+                moment.hears = self.word(said, utterance, n);
+                // What is understood before its first word is understood in that word's step.
+                let first = utterance.start + 1;
+                if utterance.understood().map(|at| at.max(first)) == Some(step) {
                     let topic = topic_name(&self.played.scenes[0], utterance.topic);
-                    let (k, l) = (utterance.comprehension, utterance.conveyance);
-                    moment.understands = format!("{topic}, word {k} of {l}");
+                    moment.understands = format!("{topic}, word {n} of {l}");
                 }
             }
             let does = self.does(step);
@@ -155,6 +157,8 @@ impl Spoken {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_sims::Scene;
+    use leadtime_sims::human::{Comprehension, HumanSettings, ReactionDelay, SpeechAct};
     use leadtime_taxonomy::Cell;
 
     use super::*;
@@ -200,6 +204,33 @@ return 215.4, 19 steps of a word each, 0.3 s; 3 notifications
 ";
         let spoken = Spoken::new(played(), sentences);
         assert_eq!(spoken.transcript(), expected);
+    }
+
+    fn told(scenes: Vec<Scene>) -> String {
+        Spoken::from(Playthrough { scenes, ..synthetic::playthrough() }).transcript()
+    }
+
+    #[test]
+    fn a_message_is_understood_in_the_word_with_which_its_listener_understands_it() {
+        let acts = [synthetic::ascend(3, 5), SpeechAct::Continue, SpeechAct::Continue];
+        let sooner = told(synthetic::lander(|human| human.words_from = 0, &acts));
+        assert!(sooner.contains("[ascend 2/5]    ascend, word 2 of 5"), "{sooner}");
+        let at_once = |human: &mut HumanSettings| {
+            human.comprehension = Comprehension::Immediate;
+            human.reaction_delay = ReactionDelay::Fixed(0);
+        };
+        let at_once = told(synthetic::lander(at_once, &acts));
+        let row = "[ascend 1/5]    ascend, word 1 of 5  follows ascend";
+        assert!(at_once.contains(row), "{at_once}");
+        assert_eq!(at_once.matches("ascend, word").count(), 1, "{at_once}");
+    }
+
+    #[test]
+    fn a_message_that_is_stopped_has_the_words_that_were_heard() {
+        let acts = [synthetic::ascend(3, 3), SpeechAct::Continue, SpeechAct::Stop];
+        let stopped = told(synthetic::lander(|human| human.can_stop = true, &acts));
+        assert!(stopped.contains("[ascend 2/3] \u{2013}"), "{stopped}");
+        assert!(!stopped.contains("3/3") && !stopped.contains("ascend, word"), "{stopped}");
     }
 
     #[test]

@@ -7,7 +7,7 @@
 use leadtime_episodes::{
     EnvSlot, EpisodeObserver, MakeEnvironment, Observer, PlaySettings, Player, play,
 };
-use leadtime_sims::{End, Speech};
+use leadtime_sims::{End, Word};
 use serde::Serialize;
 
 use super::voice::{Choosing, Chosen, Voice};
@@ -113,23 +113,23 @@ impl Truthfulness {
     }
 }
 
-/// Observes, at each moment of an episode, the running utterance and the facts that hold.
+/// Observes, at each moment of an episode, the word that was heard in the step before and the facts that hold.
 #[derive(Debug, Default)]
 struct FactLog {
-    moments: Vec<(Option<Speech>, Vec<&'static str>)>,
+    moments: Vec<(Option<Word>, Vec<&'static str>)>,
 }
 
 impl FactLog {
     fn messages(&self) -> Vec<LoggedMessage> {
-        let speech: Vec<_> = self.moments.iter().map(|(speech, _)| *speech).collect();
-        LoggedMessage::all(&speech)
+        let words: Vec<_> = self.moments.iter().map(|(word, _)| *word).collect();
+        LoggedMessage::all(&words)
     }
 }
 
 impl Observer for FactLog {
     fn on_moment(&mut self, slot: &EnvSlot) {
         let insight = slot.env().insight();
-        self.moments.extend(insight.map(|insight| (insight.speech, slot.env().facts_that_hold())));
+        self.moments.extend(insight.map(|insight| (insight.word, slot.env().facts_that_hold())));
     }
 }
 

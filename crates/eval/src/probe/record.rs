@@ -131,7 +131,7 @@ mod tests {
 
     fn visit(stages: &mut Stages, delay: u32, reaction_began: bool) -> bool {
         let reaction_delay = Some(delay);
-        let insight = Insight { reaction_delay, comprehended: 3, reaction_began, speech: None };
+        let insight = Insight { reaction_delay, comprehended: 3, reaction_began, word: None };
         stages.visit(insight);
         stages.chosen.is_some()
     }

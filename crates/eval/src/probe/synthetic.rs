@@ -89,7 +89,7 @@ impl Environment for Synthetic {
             reaction_delay: (!self.fickle).then_some(self.delay),
             comprehended: n / STEPS_PER_STAGE,
             reaction_began: n > 0 && n.is_multiple_of(STEPS_PER_STAGE),
-            speech: None,
+            word: None,
         })
     }
 }
