@@ -19,7 +19,7 @@ use leadtime_serve::{
     HeardSay, PolicyOrigin, SayEvent, SayForm, SessionNote, StepClock, WordClock, WorkingPolicy,
     told_voice,
 };
-use leadtime_table::Table;
+use leadtime_table::{Table, beginning, columns};
 use leadtime_voice::VoiceChoice;
 use serde_json::{Value, json};
 use tokio::runtime::Handle;
@@ -400,7 +400,7 @@ fn show_beside(outcome: &ReplayOutcome) {
     );
 }
 
-/// Writes a message with its k and l, in so many characters at most.
+/// Writes a message with its k and l, in so many columns at most.
 fn cell(message: Option<&StartedMessage>, width: usize) -> String {
     let Some(StartedMessage { topic, k, l, text, .. }) = message else { return "-".to_owned() };
     let numbers = format!(" ({k}, {l})");
@@ -409,11 +409,10 @@ fn cell(message: Option<&StartedMessage>, width: usize) -> String {
 }
 
 fn shortened(text: &str, width: usize) -> String {
-    if text.chars().count() <= width {
+    if columns(text) <= width {
         return text.to_owned();
     }
-    let start: String = text.chars().take(width.saturating_sub(1)).collect();
-    format!("{}\u{2026}", start.trim_end())
+    format!("{}\u{2026}", beginning(text, width.saturating_sub(1)).trim_end())
 }
 
 fn as_json(played: &PlayedSession) -> Value {
