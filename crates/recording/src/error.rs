@@ -28,7 +28,9 @@ pub enum Error {
     Empty,
     #[error("it is a recording of version {found}; this program reads version {known}")]
     Version { found: String, known: &'static str },
-    #[error("its messages take more than {0} bytes of memory: record shorter pieces")]
+    #[error(
+        "there is more than is read at a time, {0} bytes of messages: read one client of several with --live, or record shorter pieces"
+    )]
     TooLarge(u64),
     #[error("the policy cannot take this session")]
     Session(#[from] leadtime_serve::OpenRefusal),

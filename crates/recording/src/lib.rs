@@ -37,7 +37,7 @@ pub use error::Error;
 pub use message::SentObservation;
 pub use network::SessionOverNetwork;
 pub use picture::picture;
-pub use read::{RecordedClient, RecordedMessage, RecordingEnd, RecordingFile};
+pub use read::{MAX_READ_BYTES, RecordedClient, RecordedMessage, RecordingEnd, RecordingFile};
 pub use recorder::LiveRecorder;
 pub use replay::{
     MessageTally, ReplayDifference, ReplayOutcome, ReplayTarget, SessionAtHand, StartedMessage,

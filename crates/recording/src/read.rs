@@ -13,8 +13,8 @@ use crate::write::{METADATA, VERSION};
 
 /// The longest record, in bytes; a chunk of ours has a little more than 256 kB.
 const MAX_RECORD: usize = 64 << 20;
-/// The most that is kept of a file, in bytes.
-const MAX_BYTES: u64 = 2 << 30;
+/// The most that is read of a file at a time, in bytes of messages: as sessions they take as much again.
+pub const MAX_READ_BYTES: u64 = 1 << 30;
 
 /// How a file ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -43,7 +43,7 @@ pub struct RecordedMessage {
 pub struct RecordedClient {
     /// The notifier and the client: `notifier/car-1`.
     pub name: String,
-    /// What was recorded, in the order of the file.
+    /// What was recorded, in the order of the file; nothing where something else is read.
     pub messages: Vec<RecordedMessage>,
 }
 
@@ -63,15 +63,32 @@ impl RecordingFile {
     ///
     /// [`Error::NoMcap`] if it is no MCAP file, [`Error::Foreign`] or [`Error::Version`] if something else or another
     /// release wrote it, [`Error::Compressed`] if its chunks are compressed, [`Error::Empty`] if it ends before its
-    /// first whole chunk, [`Error::TooLarge`] if its messages take too much memory, [`Error::Read`] if the system
-    /// cannot read it.
-    pub fn read(mut from: impl Read) -> Result<Self, Error> {
+    /// first whole chunk, [`Error::TooLarge`] if there is more than [`MAX_READ_BYTES`] of its messages, [`Error::Read`] if
+    /// the system cannot read it.
+    pub fn read(from: impl Read) -> Result<Self, Error> {
+        Self::read_of(from, |_| true)
+    }
+
+    /// Reads what is about the clients that are wanted, by their names: of the others, the names alone.
+    ///
+    /// # Errors
+    ///
+    /// As [`Self::read`]; messages about others take no memory.
+    pub fn read_of(from: impl Read, is_wanted: impl Fn(&str) -> bool) -> Result<Self, Error> {
+        Self::read_within(from, &is_wanted, MAX_READ_BYTES)
+    }
+
+    fn read_within(
+        mut from: impl Read,
+        is_wanted: &dyn Fn(&str) -> bool,
+        max_bytes: u64,
+    ) -> Result<Self, Error> {
         let options = LinearReaderOptions::default()
             .with_skip_end_magic(true)
             .with_prevalidate_chunk_crcs(true)
             .with_record_length_limit(MAX_RECORD);
         let mut reader = LinearReader::new_with_options(options);
-        let (mut taken, mut is_started) = (TakenRecords::default(), false);
+        let (mut taken, mut is_started) = (TakenRecords::new(is_wanted, max_bytes), false);
         let end = loop {
             let failed = match reader.next_event() {
                 None => break RecordingEnd::Whole,
@@ -117,8 +134,9 @@ impl From<McapError> for TakeError {
 }
 
 /// What has been read.
-#[derive(Debug, Default)]
-struct TakenRecords {
+struct TakenRecords<'a> {
+    is_wanted: &'a dyn Fn(&str) -> bool,
+    max_bytes: u64,
     /// Channels of ours by number: whose, what.
     channels: BTreeMap<u16, (String, RecordedTopic)>,
     /// The names of other channels.
@@ -127,7 +145,12 @@ struct TakenRecords {
     n_bytes: u64,
 }
 
-impl TakenRecords {
+impl<'a> TakenRecords<'a> {
+    fn new(is_wanted: &'a dyn Fn(&str) -> bool, max_bytes: u64) -> Self {
+        let (channels, others, clients) = (BTreeMap::new(), Vec::new(), BTreeMap::new());
+        Self { is_wanted, max_bytes, channels, others, clients, n_bytes: 0 }
+    }
+
     /// Takes a record; `false` at the end of the data.
     fn take(&mut self, opcode: u8, data: &[u8]) -> Result<bool, TakeError> {
         // Only what is needed is parsed: of a damaged file as little as possible.
@@ -154,13 +177,16 @@ impl TakenRecords {
                 let Some((name, topic)) = self.channels.get(&header.channel_id) else {
                     return Ok(true);
                 };
+                let messages = self.clients.entry(name.clone()).or_default();
+                if !(self.is_wanted)(name) {
+                    return Ok(true);
+                }
                 self.n_bytes += data.len() as u64;
-                if self.n_bytes > MAX_BYTES {
-                    return Err(TakeError::Ours(Error::TooLarge(MAX_BYTES)));
+                if self.n_bytes > self.max_bytes {
+                    return Err(TakeError::Ours(Error::TooLarge(self.max_bytes)));
                 }
                 let (topic, at) = (*topic, header.log_time);
-                let message = RecordedMessage { topic, at, json: data.into_owned() };
-                self.clients.entry(name.clone()).or_default().push(message);
+                messages.push(RecordedMessage { topic, at, json: data.into_owned() });
             }
             _ => {}
         }
@@ -178,5 +204,37 @@ impl TakenRecords {
         let clients = self.clients.into_iter();
         let clients = clients.map(|(name, messages)| RecordedClient { name, messages }).collect();
         Ok(RecordingFile { clients, end })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_link::live::LiveTopic;
+
+    use super::*;
+    use crate::write::RecordingWriter;
+
+    #[test]
+    fn what_is_read_of_one_client_is_not_limited_by_the_others() {
+        let mut bytes = Vec::new();
+        let mut writer = RecordingWriter::new(&mut bytes, "a test").unwrap();
+        let json = format!("{{\"x\":\"{}\"}}", "7".repeat(100));
+        for (client, n) in [("car-1", 100), ("car-2", 3)] {
+            let key = format!("leadtime/live/1/notifier/{client}/status");
+            for at in 0..n {
+                let topic = RecordedTopic::Live(LiveTopic::Status);
+                writer.write(&key, topic, at, json.as_bytes()).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        assert_eq!(writer.n_bytes(), 103 * json.len() as u64);
+        drop(writer);
+        let refused = RecordingFile::read_within(&*bytes, &|_| true, 1_000).unwrap_err();
+        assert!(matches!(refused, Error::TooLarge(1_000)), "{refused}");
+        let is_second = |name: &str| name == "notifier/car-2";
+        let read = RecordingFile::read_within(&*bytes, &is_second, 1_000).unwrap();
+        let clients = read.clients.iter().map(|it| (it.name.as_str(), it.messages.len()));
+        let expected = [("notifier/car-1", 0), ("notifier/car-2", 3)];
+        assert_eq!(clients.collect::<Vec<_>>(), expected);
     }
 }

@@ -191,7 +191,7 @@ fn status(message: &RecordedMessage) -> Option<(String, RecordedStatus)> {
 
 /// A client's observations, of which each is taken once and in order.
 struct Observations {
-    all: Vec<SentObservation>,
+    all: Vec<Option<SentObservation>>,
     by_number: BTreeMap<u64, Vec<usize>>,
     /// Those before this one have had their turn.
     next: usize,
@@ -201,10 +201,11 @@ impl Observations {
     fn new(messages: &[RecordedMessage]) -> Self {
         let topic = RecordedTopic::Live(LiveTopic::Observations);
         let sent = messages.iter().filter(|message| message.topic == topic);
-        let all: Vec<_> = sent.filter_map(|message| sent_observation(&message.json)).collect();
+        let mut all = Vec::new();
         let mut by_number: BTreeMap<u64, Vec<usize>> = BTreeMap::new();
-        for (i, observation) in all.iter().enumerate() {
-            by_number.entry(observation.seq).or_default().push(i);
+        for observation in sent.filter_map(|message| sent_observation(&message.json)) {
+            by_number.entry(observation.seq).or_default().push(all.len());
+            all.push(Some(observation));
         }
         Self { all, by_number, next: 0 }
     }
@@ -213,7 +214,7 @@ impl Observations {
         let places = self.by_number.get(&seq)?;
         let place = *places.iter().find(|place| **place >= self.next)?;
         self.next = place + 1;
-        Some(self.all[place].clone())
+        self.all[place].take()
     }
 }
 

@@ -32,6 +32,7 @@ pub struct RecordingWriter<W: Write> {
     file: mcap::Writer<NoSeek<W>>,
     channels: BTreeMap<String, OpenChannel>,
     n_messages: u64,
+    n_bytes: u64,
     n_passed_over: u64,
 }
 
@@ -60,8 +61,8 @@ impl<W: Write> RecordingWriter<W> {
         let metadata = metadata.map(|(key, value)| (key.to_owned(), value.to_owned())).into();
         let metadata = Metadata { name: METADATA.to_owned(), metadata };
         file.write_metadata(&metadata).map_err(Error::writing)?;
-        let (channels, n_messages, n_passed_over) = (BTreeMap::new(), 0, 0);
-        let mut writer = Self { file, channels, n_messages, n_passed_over };
+        let (channels, n_messages, n_bytes, n_passed_over) = (BTreeMap::new(), 0, 0, 0);
+        let mut writer = Self { file, channels, n_messages, n_bytes, n_passed_over };
         writer.flush()?;
         Ok(writer)
     }
@@ -98,12 +99,18 @@ impl<W: Write> RecordingWriter<W> {
         let header = MessageHeader { channel_id, sequence, log_time, publish_time };
         self.file.write_to_known_channel(&header, json).map_err(Error::writing)?;
         self.n_messages += 1;
+        self.n_bytes += json.len() as u64;
         Ok(())
     }
 
     /// Returns how many messages there are.
     pub fn n_messages(&self) -> u64 {
         self.n_messages
+    }
+
+    /// Returns how long all messages are together, in bytes.
+    pub fn n_bytes(&self) -> u64 {
+        self.n_bytes
     }
 
     /// Returns how many messages were passed over.

@@ -8,13 +8,15 @@
 //!
 //! [`Table`].
 
+mod columns;
 mod escape;
 mod table;
 mod wrap;
 
+pub use columns::{beginning, columns, padded};
 pub use escape::escape;
 pub use table::{Table, TableCell};
 pub use wrap::{fitted, wrapped};
 
-/// Characters of a line of text: those of a usual terminal.
+/// Columns of a line of text: those of a usual terminal.
 pub const WIDTH: usize = 80;

@@ -2,7 +2,8 @@
 
 use std::ops::Range;
 
-use crate::{escape, wrapped};
+use crate::columns::ending;
+use crate::{beginning, columns, escape, padded, wrapped};
 
 /// A head and rows of equally many cells.
 ///
@@ -30,7 +31,7 @@ pub struct Table {
     dispensable: Vec<usize>,
 }
 
-/// The fewest characters that a text keeps which is shortened, or a line of one that takes several.
+/// The fewest columns that a text keeps which is shortened, or a line of one that takes several.
 const SHORTEST: usize = 16;
 
 /// One cell of a table.
@@ -106,9 +107,9 @@ impl Table {
         self.texts().block(0..self.head.len())
     }
 
-    /// Writes the table as plain text with lines of at most `width` characters, as far as possible: where it is too wide,
-    /// dispensable columns are left out, notes stand below their texts, the elastic column is shortened, the flowing one takes
-    /// several lines, and what still does not fit follows in further blocks that repeat the first column.
+    /// Writes the table as plain text with lines of at most `width` columns of a terminal, as far as possible: where it is
+    /// too wide, dispensable columns are left out, notes stand below their texts, the elastic column is shortened, the flowing
+    /// one takes several lines, and what still does not fit follows in further blocks that repeat the first column.
     pub fn text_within(&self, width: usize) -> String {
         let mut texts = self.texts();
         if let Some(&column) = self.dispensable.first()
@@ -221,7 +222,7 @@ struct Texts<'a> {
 impl Texts<'_> {
     fn measured(mut self) -> Self {
         let all = || std::iter::once(&self.head).chain(&self.rows);
-        let width = |i: usize| all().map(|row| row[i].chars().count()).max().unwrap_or(0);
+        let width = |i: usize| all().map(|row| columns(&row[i])).max().unwrap_or(0);
         self.widths = (0..self.head.len()).map(width).collect();
         self
     }
@@ -230,13 +231,13 @@ impl Texts<'_> {
         self.widths.iter().sum::<usize>() + GAP.len() * self.widths.len().saturating_sub(1)
     }
 
-    /// Returns how many characters of a column leave room for the others in lines of `width`.
+    /// Returns how wide a column may be to leave room for the others in lines of `width`.
     fn room_for(&self, column: usize, width: usize) -> usize {
         let excess = self.width().saturating_sub(width);
         self.widths[column].saturating_sub(excess).max(SHORTEST)
     }
 
-    /// Breaks a column's texts of more than `most` characters between words; what follows gets rows of its own.
+    /// Breaks a column's texts that are wider than `most` between words; what follows gets rows of its own.
     fn flow(&mut self, column: usize, most: usize) {
         let n_columns = self.head.len();
         let broken = |mut row: Vec<String>| {
@@ -254,28 +255,27 @@ impl Texts<'_> {
         self.rows = std::mem::take(&mut self.rows).into_iter().flat_map(broken).collect();
     }
 
-    /// Cuts the middle out of a column's texts of more than `most` characters.
+    /// Cuts the middle out of a column's texts that are wider than `most`.
     fn shorten(&mut self, column: usize, most: usize) {
         for row in &mut self.rows {
-            let text: Vec<char> = row[column].chars().collect();
-            if text.len() > most {
-                let tail = most / 2;
-                let head: String = text[..most - tail - 1].iter().collect();
-                let tail: String = text[text.len() - tail..].iter().collect();
+            let text = &row[column];
+            if columns(text) > most {
+                let tail = ending(text, most / 2);
+                let head = beginning(text, most - columns(tail) - 1);
                 row[column] = format!("{head}\u{2026}{tail}");
             }
         }
     }
 
     /// Writes some columns, with the first one in front of them.
-    fn block(&self, columns: Range<usize>) -> String {
+    fn block(&self, range: Range<usize>) -> String {
         let first = (0..self.head.len()).take(1);
-        let shown: Vec<usize> = first.chain(columns.filter(|&i| i > 0)).collect();
+        let shown: Vec<usize> = first.chain(range.filter(|&i| i > 0)).collect();
         let line = |row: &Vec<String>| {
             let cells = shown.iter().map(|&i| {
                 let (cell, width) = (&row[i], self.widths[i]);
-                let left = self.left.contains(&i);
-                if left { format!("{cell:<width$}") } else { format!("{cell:>width$}") }
+                let gap = || " ".repeat(width.saturating_sub(columns(cell)));
+                if self.left.contains(&i) { padded(cell, width) } else { gap() + cell }
             });
             format!("{}\n", cells.collect::<Vec<_>>().join(GAP).trim_end())
         };
@@ -299,6 +299,23 @@ mod tests {
         let expected = "                          a  state\n─────────────────────────────────────\n\
                         a name of some length     1  x\n−                      12.5  finished\nshort\n";
         assert_eq!(table.text(), expected);
+    }
+
+    #[test]
+    fn wide_characters_take_two_columns_and_accents_none() {
+        let mut table = Table::new(["word", "k", "in Japan"]).left(&[0]).elastic(2);
+        table.push(["日本", "1", "右"]);
+        table.push(["e\u{301}t\u{e9}", "12", "up"]);
+        table.push(["abcdef", "3", ""]);
+        let expected = "word     k  in Japan\n────────────────────\n日本     1        右\n\
+                        e\u{301}t\u{e9}     12        up\nabcdef   3\n";
+        assert_eq!(table.text(), expected);
+        let long = "右".repeat(20);
+        table.push(["", "", long.as_str()]);
+        let text = table.text_within(30);
+        assert!(text.ends_with("  右右右右\u{2026}右右右右\n"), "{text}");
+        assert!(text.lines().all(|line| columns(line) <= 30), "{text}");
+        assert_eq!(wrapped("右 左 上", 5, 0), "右 左\n上");
     }
 
     #[test]

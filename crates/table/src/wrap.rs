@@ -1,6 +1,8 @@
 //! Lines for a width: broken between words, or cut between parts.
 
-/// Breaks a line so that no piece has more than `width` characters, unless a word has; all but the first are indented.
+use crate::columns;
+
+/// Breaks a line so that no piece takes more than `width` columns, unless a word has; all but the first are indented.
 ///
 /// # Example
 ///
@@ -15,7 +17,7 @@ pub fn wrapped(line: &str, width: usize, indent: usize) -> String {
     let n_first = line[start..].find(' ').map_or(line.len(), |at| start + at);
     let (first, rest) = line.split_at(n_first);
     for word in std::iter::once(first).chain(rest.split_whitespace()) {
-        let n = word.chars().count();
+        let n = columns(word);
         if text.is_empty() {
             used = n;
         } else if used + 1 + n <= width {
@@ -43,7 +45,7 @@ pub fn fitted(parts: impl IntoIterator<Item = String>, width: usize) -> String {
     let mut text = String::new();
     for part in parts {
         let gap = if text.is_empty() { "" } else { "  " };
-        if text.chars().count() + gap.len() + part.chars().count() > width {
+        if columns(&text) + gap.len() + columns(&part) > width {
             break;
         }
         text = format!("{text}{gap}{part}");

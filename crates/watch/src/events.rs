@@ -6,7 +6,8 @@
 //! data: {"update": 413, ...}
 //! ```
 //!
-//! A client that does not read is cut off: it reconnects by itself, and gets everything that it missed.
+//! A client that does not read is cut off: it reconnects by itself, and gets everything that it missed. Long events go out
+//! in pieces, so that one who reads slowly is told from one who does not read; it misses what is soon told anew.
 
 use std::collections::BTreeSet;
 use std::convert::Infallible;
@@ -14,8 +15,12 @@ use std::time::{Duration, Instant};
 
 use leadtime_web::axum::body::Bytes;
 
-/// Events that wait for one client.
+/// Pieces that wait for one client, besides those that it gets first.
 const QUEUED: usize = 256;
+/// The longest piece of an event, in bytes: the curves of a long run take many.
+const PIECE: usize = 16 << 10;
+/// A client for which more pieces wait is behind.
+const BEHIND: usize = 32;
 /// The most clients at a time.
 pub(crate) const MAX_CLIENTS: usize = 32;
 /// A client that reads nothing for so long is cut off, if there is something to read.
@@ -64,6 +69,11 @@ impl EventKind {
     fn name(self) -> &'static str {
         Self::NAMED[self as usize].1
     }
+
+    /// Tells whether the next event of the kind makes up for one that was left out.
+    fn is_soon_told_anew(self) -> bool {
+        matches!(self, Self::State | Self::Actors | Self::Frame)
+    }
 }
 
 /// Which kinds a client wants.
@@ -100,7 +110,13 @@ pub(crate) fn event(kind: EventKind, id: Option<&str>, data: &str) -> Bytes {
     format!("{id}event: {}\ndata: {data}\n\n", kind.name()).into()
 }
 
-/// A client, as far as events go to it.
+/// Takes an event apart, without a copy.
+fn pieces(event: &Bytes) -> impl Iterator<Item = Bytes> {
+    let starts = (0..event.len()).step_by(PIECE);
+    starts.map(move |start| event.slice(start..event.len().min(start + PIECE)))
+}
+
+/// A client, as far as events go to it, in pieces.
 #[derive(Debug)]
 struct Client {
     queue: flume::Sender<EventBytes>,
@@ -112,7 +128,7 @@ struct Client {
 
 impl Client {
     /// Sends an event if there is room. Returns whether the client may stay.
-    fn send(&mut self, event: &Bytes, now: Instant) -> bool {
+    fn send(&mut self, kind: EventKind, event: &Bytes, now: Instant) -> bool {
         if self.queue.is_disconnected() {
             return false;
         }
@@ -123,8 +139,14 @@ impl Client {
         if now.saturating_duration_since(self.taken_at) > PATIENCE {
             return false;
         }
-        self.n_sent += 1;
-        self.queue.try_send(Ok(event.clone())).is_ok()
+        if kind.is_soon_told_anew() && self.queue.len() > BEHIND {
+            return true;
+        }
+        // One that gets half an event is cut off, and does not take it for one.
+        pieces(event).all(|piece| {
+            self.n_sent += 1;
+            self.queue.try_send(Ok(piece)).is_ok()
+        })
     }
 }
 
@@ -175,11 +197,12 @@ impl EventHub {
         if self.n_clients() >= MAX_CLIENTS {
             return Err(NoPlace::Full);
         }
-        let (queue, events) = flume::bounded(QUEUED.max(first.len()));
+        let first: Vec<Bytes> = first.iter().flat_map(pieces).collect();
+        let (queue, events) = flume::bounded(QUEUED + first.len());
         let n_sent = first.len() as u64;
-        for event in first {
+        for piece in first {
             // There is room for all of them.
-            drop(queue.try_send(Ok(event)));
+            drop(queue.try_send(Ok(piece)));
         }
         self.clients.push(Client { queue, wanted, n_sent, n_taken: 0, taken_at: now });
         Ok(events)
@@ -191,7 +214,8 @@ impl EventHub {
             return;
         }
         let event = event(kind, id, data);
-        self.clients.retain_mut(|client| !client.wanted.has(kind) || client.send(&event, now));
+        let stays = |client: &mut Client| client.send(kind, &event, now);
+        self.clients.retain_mut(|client| !client.wanted.has(kind) || stays(client));
     }
 
     /// Says goodbye to everyone, and takes no client in any more.
@@ -250,9 +274,33 @@ mod tests {
         assert_eq!((hub.n_clients(), slow.is_disconnected()), (1, true));
         // One that is flooded is cut off at once.
         for _ in 0..=QUEUED {
-            hub.send(EventKind::Frame, None, "{}", start + Duration::from_secs(7));
+            hub.send(EventKind::Log, None, "{}", start + Duration::from_secs(7));
         }
         assert_eq!(hub.n_clients(), 0);
+    }
+
+    #[test]
+    fn a_client_that_reads_long_curves_slowly_stays_and_one_that_ceases_is_cut_off() {
+        let (mut hub, start) = (EventHub::default(), Instant::now());
+        let curves = event(EventKind::History, None, &"7".repeat(1 << 20));
+        let events = hub.join(all(), vec![curves.clone()], start).unwrap();
+        let mut read = Vec::new();
+        let mut second = |second, reads: bool| {
+            let now = start + Duration::from_secs(second);
+            (0..20).for_each(|_| hub.send(EventKind::Frame, None, "{}", now));
+            hub.send(EventKind::State, None, "{}", now);
+            if reads {
+                let piece = events.try_recv().unwrap().unwrap();
+                assert!(piece.len() <= PIECE, "{}", piece.len());
+                read.extend(piece);
+            }
+            hub.n_clients()
+        };
+        assert!((0..20).all(|i| second(i, true) == 1));
+        assert_eq!([20, 24, 26].map(|i| second(i, false)), [1, 1, 0]);
+        // The curves are whole, and nothing came between their pieces.
+        read.extend(events.drain().flat_map(Result::unwrap));
+        assert!(curves == read, "{} of {} bytes", read.len(), curves.len());
     }
 
     #[test]

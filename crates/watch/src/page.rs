@@ -42,6 +42,45 @@ struct SharedView {
     flight: Option<Bytes>,
 }
 
+impl SharedView {
+    /// Notes what has changed since it was last asked.
+    fn note_changes(&mut self) {
+        let new = self.view.take_changes();
+        self.due.history |= new.history;
+        self.due.update |= new.update;
+    }
+
+    /// Sends what the run is and its curves as a whole, if they have changed.
+    fn tell_history(&mut self, epoch: u64, now: Instant) {
+        if std::mem::take(&mut self.due.history) {
+            self.history_told_at = Some(now);
+            let Self { view, hub, .. } = self;
+            hub.send(EventKind::About, None, &about_json(view, epoch).to_string(), now);
+            hub.send(EventKind::History, None, &view.history_json(0).to_string(), now);
+        }
+    }
+
+    /// Sends the newest update, if there is one.
+    fn tell_update(&mut self, epoch: u64, time: f64, now: Instant) {
+        if std::mem::take(&mut self.due.update) {
+            self.updates_told_at = Some(now);
+            let Self { view, hub, .. } = self;
+            let id = event_id(view.newest(), view, epoch);
+            hub.send(EventKind::Update, Some(&id), &view.update_json(time).to_string(), now);
+        }
+    }
+
+    /// Sends new lines of the log.
+    fn tell_log(&mut self, now: Instant) {
+        let Self { view, hub, n_log_told, .. } = self;
+        let lines: Vec<Value> = view.log_after(*n_log_told).map(WatchLine::json).collect();
+        if !lines.is_empty() {
+            *n_log_told = view.n_logged();
+            hub.send(EventKind::Log, None, &Value::from(lines).to_string(), now);
+        }
+    }
+}
+
 impl fmt::Debug for Page {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Page").finish_non_exhaustive()
@@ -70,47 +109,27 @@ impl Page {
     /// that are wanted at once.
     pub fn flush(&self, now: Instant) {
         let time = (self.clock)();
-        let mut shared = self.shared();
-        let SharedView {
-            view,
-            hub,
-            due,
-            history_told_at,
-            updates_told_at,
-            tables_told_at,
-            n_log_told,
-            ..
-        } = &mut *shared;
-        view.forget_gone(time);
-        let new = view.take_changes();
-        due.history |= new.history;
-        due.update |= new.update;
+        let mut guard = self.shared();
+        let shared = &mut *guard;
+        shared.view.forget_gone(time);
+        shared.note_changes();
         let is_due = |told_at: Option<Instant>, pause: Duration| {
             told_at.is_none_or(|at| now.saturating_duration_since(at) >= pause)
         };
-        if due.history && is_due(*history_told_at, TABLE_PAUSE) {
-            due.history = false;
-            *history_told_at = Some(now);
-            hub.send(EventKind::About, None, &about_json(view, self.epoch).to_string(), now);
-            hub.send(EventKind::History, None, &view.history_json(0).to_string(), now);
+        if is_due(shared.history_told_at, TABLE_PAUSE) {
+            shared.tell_history(self.epoch, now);
         }
         // An update that follows a resume goes on from curves that a page must have.
-        if due.update && !due.history && is_due(*updates_told_at, EVENT_PAUSE) {
-            due.update = false;
-            *updates_told_at = Some(now);
-            let id = event_id(view.newest(), view, self.epoch);
-            hub.send(EventKind::Update, Some(&id), &view.update_json(time).to_string(), now);
+        if !shared.due.history && is_due(shared.updates_told_at, EVENT_PAUSE) {
+            shared.tell_update(self.epoch, time, now);
         }
-        if is_due(*tables_told_at, TABLE_PAUSE) {
-            *tables_told_at = Some(now);
+        if is_due(shared.tables_told_at, TABLE_PAUSE) {
+            shared.tables_told_at = Some(now);
+            let SharedView { view, hub, .. } = &mut *shared;
             hub.send(EventKind::State, None, &view.state_json(time).to_string(), now);
             hub.send(EventKind::Actors, None, &view.actors_json(time).to_string(), now);
         }
-        let lines: Vec<Value> = view.log_after(*n_log_told).map(WatchLine::json).collect();
-        if !lines.is_empty() {
-            *n_log_told = view.n_logged();
-            hub.send(EventKind::Log, None, &Value::from(lines).to_string(), now);
-        }
+        shared.tell_log(now);
     }
 
     /// Takes in a page, which gets everything so far, or what came after an event that it knows.
@@ -126,6 +145,13 @@ impl Page {
     ) -> Result<flume::Receiver<EventBytes>, NoPlace> {
         let time = (self.clock)();
         let mut shared = self.shared();
+        shared.note_changes();
+        // Curves that are new to all are not told from where a client left off.
+        let last_event = last_event.filter(|_| !shared.due.history);
+        // What is due is told to the others first: what this client gets now has it, and it must not get it again.
+        shared.tell_history(self.epoch, now);
+        shared.tell_update(self.epoch, time, now);
+        shared.tell_log(now);
         let SharedView { view, hub, flight, .. } = &mut *shared;
         let from = last_event.map_or(0, |id| known_until(id, view, self.epoch));
         let id = event_id(view.newest(), view, self.epoch);

@@ -138,6 +138,39 @@ async fn curves_as_a_whole_are_told_once_a_second_at_most() {
 }
 
 #[tokio::test]
+async fn what_is_due_when_a_page_comes_is_told_once_to_it_and_to_those_before_it() {
+    let (page, now) = (Page::new("r", || 1_000.0), Instant::now());
+    let told = |events: &flume::Receiver<crate::events::EventBytes>| {
+        let texts = events.drain().map(|event| String::from_utf8(event.unwrap().to_vec()).unwrap());
+        let kind = |text: String| {
+            text.lines().find_map(|line| line.strip_prefix("event: ")).map(str::to_owned)
+        };
+        let kinds = texts.filter_map(kind);
+        kinds.filter(|kind| !["state", "actors"].contains(&kind.as_str())).collect::<Vec<_>>()
+    };
+    let change = |update: u64| {
+        page.with(|view, now| {
+            let told = json!({"kind": "update", "update": update});
+            view.learner_says(&update.to_string(), told, now);
+        });
+    };
+    let all = || Wanted::parse(None).unwrap();
+    change(1);
+    change(2);
+    page.flush(now);
+    let first = page.join(all(), None, now).unwrap();
+    change(3);
+    // The pause between two histories is not over.
+    page.flush(now);
+    assert_eq!(told(&first), ["about", "history", "update", "log", "log"]);
+    let second = page.join(all(), None, now).unwrap();
+    assert_eq!(told(&first), ["about", "history", "update"]);
+    page.flush(now + Duration::from_secs(2));
+    assert_eq!(told(&second), ["about", "history", "update", "log"]);
+    assert!(told(&first).is_empty());
+}
+
+#[tokio::test]
 async fn an_actor_that_is_gone_for_long_leaves_the_table_without_a_roster() {
     static NOW: AtomicU64 = AtomicU64::new(1_000);
     let page = Page::new("r", || NOW.load(Ordering::Relaxed) as f64);

@@ -11,7 +11,7 @@ use leadtime_link::live::{LiveMessage, LiveRecorderLink, LiveSample, LiveTopic, 
 use leadtime_process::NewFile;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::{ClientName, ServiceName};
-use leadtime_recording::{Error as RecordingError, LiveRecorder, RecordingWriter};
+use leadtime_recording::{Error as RecordingError, LiveRecorder, MAX_READ_BYTES, RecordingWriter};
 use leadtime_runs::clock;
 use tokio::time::{MissedTickBehavior, interval, sleep};
 use tokio_util::sync::CancellationToken;
@@ -54,6 +54,7 @@ pub(super) async fn run(args: &RecordArgs) -> Result<(), Failure> {
         asked_at: None,
         n_dropped: 0,
         n_passed_over: 0,
+        is_large: false,
     };
     let ended = recording.run(&shutdown).await;
     let (n_messages, n_sessions) = recording.recorder.counts();
@@ -164,6 +165,8 @@ struct RunningRecording {
     asked_at: Option<Instant>,
     n_dropped: u64,
     n_passed_over: u64,
+    /// It was said that there is more than is read at a time.
+    is_large: bool,
 }
 
 impl RunningRecording {
@@ -198,6 +201,7 @@ impl RunningRecording {
                     self.recorder.writer().flush()?;
                     self.ask(&asker, &sender);
                     self.tell_dropped();
+                    self.tell_size();
                     self.link.health().await?;
                 }
             }
@@ -237,6 +241,16 @@ impl RunningRecording {
                 tracing::info!("notifier `{service}` is back");
             }
             _ => {}
+        }
+    }
+
+    /// Says once that the file has become too large to be read as a whole.
+    fn tell_size(&mut self) {
+        let is_large = self.recorder.writer().n_bytes() > MAX_READ_BYTES;
+        if is_large && !std::mem::replace(&mut self.is_large, true) {
+            tracing::warn!(
+                "there is more in the file than `replay` and `play` read at a time, {MAX_READ_BYTES} bytes of messages: they need --live CLIENT; of one client, record shorter pieces"
+            );
         }
     }
 

@@ -17,7 +17,9 @@ pub(super) fn read(
 ) -> Result<Vec<RecordedSession>, Failure> {
     let place = || path.display().to_string();
     let file = File::open(path).with_context(place).blame(ExitCode::WrongInput)?;
-    let recording = RecordingFile::read(BufReader::new(file)).with_context(place);
+    let is_wanted =
+        |name: &str| client.is_none_or(|client| name.rsplit('/').next() == Some(client.as_str()));
+    let recording = RecordingFile::read_of(BufReader::new(file), is_wanted).with_context(place);
     let recording = recording.blame(ExitCode::WrongInput)?;
     let shown = place();
     match &recording.end {
@@ -29,12 +31,11 @@ pub(super) fn read(
             tracing::warn!("{shown} is damaged and is read up to there: {why}");
         }
     }
-    let is_wanted =
-        |name: &str| client.is_none_or(|client| name.rsplit('/').next() == Some(client.as_str()));
-    let clients = recording.clients.iter().filter(|it| is_wanted(&it.name));
-    let found: Vec<RecordedSession> = clients.flat_map(sessions).collect();
+    let names: Vec<String> = recording.clients.iter().map(|it| it.name.clone()).collect();
+    // The messages of each are given up when its sessions are found.
+    let clients = recording.clients.into_iter();
+    let found: Vec<RecordedSession> = clients.flat_map(|client| sessions(&client)).collect();
     if found.is_empty() {
-        let names: Vec<&str> = recording.clients.iter().map(|it| it.name.as_str()).collect();
         let names = names.join(", ");
         return Err(Failure::input(match client {
             Some(client) => {

@@ -19,7 +19,7 @@ use leadtime_serve::{
     HeardSay, PolicyOrigin, SayEvent, SayForm, SessionNote, StepClock, WordClock, WorkingPolicy,
     told_voice,
 };
-use leadtime_table::Table;
+use leadtime_table::{Table, beginning, columns};
 use leadtime_voice::VoiceChoice;
 use serde_json::{Value, json};
 use tokio::runtime::Handle;
@@ -46,7 +46,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure>
     let pace = ReplayPace { speed: args.speed, is_told: !args.json, stop: shutdown.clone() };
     let played = if args.connect.is_empty() {
         let policies = Policies { tasks: tasks.clone(), args: args.clone(), known: Vec::new() };
-        unless_cancelled(&shutdown, move || at_hand(&sessions, policies, &pace)).await?
+        unless_cancelled(&shutdown, move || at_hand(sessions, policies, &pace)).await?
     } else {
         let settings = notifier_settings(&args.connect, &args.notifier, &[Role::Robot])?;
         let link = LiveClientLink::open(&settings).await.map_err(dialling_failure)?;
@@ -54,7 +54,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ReplayArgs) -> Result<(), Failure>
         let client = drive::own_name(args.client.as_ref(), &settings, "replay")?;
         let port = link.port(&args.notifier.service, &client, clock::incarnation());
         let target = SessionOverNetwork::new(port.map_err(dialling_failure)?);
-        let work = move || over_network(&sessions, target, &pace);
+        let work = move || over_network(sessions, target, &pace);
         let played = unless_cancelled(&shutdown, work).await?;
         drop(link.close().await);
         played
@@ -207,37 +207,37 @@ impl Policies {
 }
 
 fn at_hand(
-    sessions: &[RecordedSession],
+    sessions: Vec<RecordedSession>,
     mut policies: Policies,
     pace: &ReplayPace,
 ) -> Result<Vec<PlayedSession>, Failure> {
-    let play = |session: &RecordedSession| {
+    let play = |mut session: RecordedSession| {
         let Some(note) = &session.note else { return Ok(unplayed(session)) };
         let (policy, is_same) = policies.of(note)?;
         let mut outcome = ReplayOutcome::default();
-        for stretch in &session.stretches {
-            let target = SessionAtHand::open(note, &policy, stretch, is_same);
+        // Large, and not needed any more.
+        for stretch in std::mem::take(&mut session.stretches) {
+            let target = SessionAtHand::open(note, &policy, &stretch, is_same);
             let mut target = target.blame(ExitCode::WrongInput)?;
-            outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
+            outcome.add(pace.replay(&stretch, &mut target).map_err(failure)?);
         }
-        let other_voice = OtherVoice::of(session, note, policies.args.voice.as_ref(), &policy);
-        Ok(PlayedSession { session: session.clone(), is_same, other_voice, outcome })
+        let other_voice = OtherVoice::of(&session, note, policies.args.voice.as_ref(), &policy);
+        Ok(PlayedSession { session, is_same, other_voice, outcome })
     };
-    sessions.iter().map(play).collect()
+    sessions.into_iter().map(play).collect()
 }
 
 fn over_network(
-    sessions: &[RecordedSession],
+    sessions: Vec<RecordedSession>,
     mut target: SessionOverNetwork,
     pace: &ReplayPace,
 ) -> Result<Vec<PlayedSession>, Failure> {
     let (runtime, mut n_opened) = (Handle::current(), 0);
-    let play = |session: &RecordedSession| {
-        let (Some(note), Some(clock)) = (&session.note, session.clock()) else {
-            return Ok(unplayed(session));
-        };
+    let play = |mut session: RecordedSession| {
+        let Some(clock) = session.clock() else { return Ok(unplayed(session)) };
+        let stretches = std::mem::take(&mut session.stretches).into_iter();
+        let Some(note) = &session.note else { return Ok(unplayed(session)) };
         let about = || format!("session {} of {}", session.id, session.client);
-        let stretches = session.stretches.iter().cloned();
         let stretches: Vec<_> = stretches.map(Stretch::up_to_last_observation).collect();
         let check = check_for_network(clock, &stretches).with_context(about);
         check.blame(ExitCode::WrongInput)?;
@@ -250,9 +250,9 @@ fn over_network(
             outcome.add(pace.replay(stretch, &mut target).map_err(failure)?);
         }
         let other_voice = None;
-        Ok(PlayedSession { session: session.clone(), is_same, other_voice, outcome })
+        Ok(PlayedSession { session, is_same, other_voice, outcome })
     };
-    sessions.iter().map(play).collect()
+    sessions.into_iter().map(play).collect()
 }
 
 /// Returns whether a client is told the same of the settings and of the words. One that reads few bytes is told no settings.
@@ -264,9 +264,9 @@ fn is_answer_same(answer: &Value, note: &SessionNote) -> bool {
 }
 
 /// A session of which it is not known what it was.
-fn unplayed(session: &RecordedSession) -> PlayedSession {
+fn unplayed(session: RecordedSession) -> PlayedSession {
     let outcome = ReplayOutcome::default();
-    PlayedSession { session: session.clone(), is_same: false, other_voice: None, outcome }
+    PlayedSession { session, is_same: false, other_voice: None, outcome }
 }
 
 fn failure(error: RecordingError) -> Failure {
@@ -400,7 +400,7 @@ fn show_beside(outcome: &ReplayOutcome) {
     );
 }
 
-/// Writes a message with its k and l, in so many characters at most.
+/// Writes a message with its k and l, in so many columns at most.
 fn cell(message: Option<&StartedMessage>, width: usize) -> String {
     let Some(StartedMessage { topic, k, l, text, .. }) = message else { return "-".to_owned() };
     let numbers = format!(" ({k}, {l})");
@@ -409,11 +409,10 @@ fn cell(message: Option<&StartedMessage>, width: usize) -> String {
 }
 
 fn shortened(text: &str, width: usize) -> String {
-    if text.chars().count() <= width {
+    if columns(text) <= width {
         return text.to_owned();
     }
-    let start: String = text.chars().take(width.saturating_sub(1)).collect();
-    format!("{}\u{2026}", start.trim_end())
+    format!("{}\u{2026}", beginning(text, width.saturating_sub(1)).trim_end())
 }
 
 fn as_json(played: &PlayedSession) -> Value {

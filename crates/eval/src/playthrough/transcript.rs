@@ -10,6 +10,7 @@
 //! ```
 
 use leadtime_proto::phrase::counted;
+use leadtime_table::{columns, padded};
 
 use super::record::Playthrough;
 use super::timeline::{Activity, topic_name};
@@ -42,14 +43,15 @@ impl Spoken {
     pub fn transcript(&self) -> String {
         let moments = self.moments_of_change();
         let widest = |text: fn(&Moment) -> &String, title: &str| {
-            let widths = moments.iter().map(|moment| text(moment).chars().count());
+            let widths = moments.iter().map(|moment| columns(text(moment)));
             widths.fold(title.len(), usize::max)
         };
         let hears = widest(|moment| &moment.hears, "hears");
         let understands = widest(|moment| &moment.understands, "understands");
         let mut out = self.heading();
         let mut line = |time: &str, [first, second, third]: [&str; 3]| {
-            let line = format!("{time:>8}  {first:<hears$}  {second:<understands$}  {third}");
+            let (first, second) = (padded(first, hears), padded(second, understands));
+            let line = format!("{time:>8}  {first}  {second}  {third}");
             out.extend([line.trim_end(), "\n"]);
         };
         line("time", ["hears", "understands", "does"]);
