@@ -478,6 +478,10 @@ impl<D: Domain> Scriptable for NotifierEnv<D> {
         self.domain.obs_dim()
     }
 
+    fn n_remembered(&self) -> usize {
+        if self.session.history().n_pairs() > 1 { self.n_observed() } else { 0 }
+    }
+
     fn write_quantities(&self, now: &mut [f32], before: &mut [f32]) {
         let (n_observed, step) = (self.domain.obs_dim(), now.len() - 1);
         let (last, previous) = self.session.history().last_two();
