@@ -29,7 +29,7 @@ except ModuleNotFoundError:  # Python 3.10
 # What a policy's configuration leaves out.
 RULES = {"comprehension": "words", "words_from": 1, "occupies": True, "interrupt": "until_comprehended",
          "blocked_initiation": "ignore_free", "repeat": "restart", "can_stop": False}
-CHOICES = {"notification": "incrementally_actionable", "words": [2, 3, 4, 5], "history": 4, "observe_utterance": True, "cells": None}
+CHOICES = {"notification": "incrementally_actionable", "words": [2, 3, 4, 5], "history": 4, "observe_utterance": True, "k_max": None, "cells": None}
 SILENCE, START, STOP = range(3)
 
 
@@ -126,7 +126,9 @@ class LocalNotifier:
         self._type, self._lengths, n_pairs = choices["notification"], choices["words"], choices["history"]
         #: Names of the topics that it speaks of.
         self.topics = list(heads["topic"])
-        self._cells = {topic: sorted((k, l) for name, k, l in choices["cells"] if name == topic) for topic in self.topics} if choices["cells"] else {}
+        most = choices["k_max"]
+        sayable = [(name, k, l) for name, k, l in choices["cells"] or [] if most is None or k <= most]
+        self._cells = {topic: sorted((k, l) for name, k, l in sayable if name == topic) for topic in self.topics}
         n_action = 1 + len(self.topics) + 2 * len(self._lengths) + self._rules["can_stop"]
         n_utterance = 1 + len(self.topics) if choices["observe_utterance"] else 0
         pair, rest = divmod(self.policy.obs_dim - n_utterance, n_pairs)

@@ -394,7 +394,9 @@ class Policy(unittest.TestCase):
         shown = tomllib.loads(told("config", "lander", folder=ROOT))
         cells = [["ascend", 2, 4], ["ascend", 4, 5], ["shift_left", 3, 3], ["shift_right", 2, 2], ["descend", 5, 5]]
         few = {"history": 1, "observe_utterance": False, "topics": ["descend", "ascend"], "k_max": 3}
+        late = [["ascend", 4, 4], ["ascend", 2, 9], ["shift_left", 3, 3], ["shift_right", 2, 2], ["descend", 2, 5]]
         for human, choices in [({}, {}), ({"can_stop": True, "interrupt": "finish", "blocked_initiation": "mask"}, few),
+                               ({}, {"cells": late, "k_max": 3}),
                                ({"occupies": False, "words_from": 0}, {}),
                                ({"comprehension": "immediate", "can_stop": True, "interrupt": "replace"}, {"cells": cells}),
                                ({}, {"notification": "topic_only", "words": [3, 5]})]:

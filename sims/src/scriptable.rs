@@ -38,8 +38,11 @@ pub trait Scriptable {
     /// Returns how many of the first quantities are the world's observation.
     fn n_observed(&self) -> usize;
 
+    /// Returns of how many of the first quantities it is remembered what they were a step ago.
+    fn n_remembered(&self) -> usize;
+
     /// Writes the numbers as they are now, and as they were a step ago. Shape of both `[n_quantities]`.
     ///
-    /// Where nothing is remembered of the step before, both are the same.
+    /// Both are the same at the start of an episode, and where nothing is remembered ([`Scriptable::n_remembered`]).
     fn write_quantities(&self, now: &mut [f32], before: &mut [f32]);
 }

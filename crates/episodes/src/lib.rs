@@ -24,7 +24,9 @@ mod slot;
 
 pub use error::{Error, known_players};
 pub use lockstep::{Decision, Lockstep, Observer};
-pub use play::{EpisodeObserver, MakeEnvironment, PlaySettings, episode_seed, in_threads, play};
+pub use play::{
+    EpisodeCounter, EpisodeObserver, MakeEnvironment, PlaySettings, episode_seed, in_threads, play,
+};
 pub use player::{Choice, Decider, Player};
 pub use scripted::Scripted;
 pub use slot::EnvSlot;

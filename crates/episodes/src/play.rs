@@ -5,6 +5,7 @@
 //! meet the same worlds.
 
 use std::iter::repeat_n;
+use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::{fmt, io};
@@ -117,10 +118,39 @@ pub fn play<O: EpisodeObserver>(
     observe: impl Fn(u64) -> O + Sync,
 ) -> Result<Vec<O::Output>, Error> {
     player.check(make()?.as_ref())?;
-    let next = AtomicU64::new(settings.first);
-    let work = || Shift::new(player, settings, &next).run(make, &observe);
+    let episodes = EpisodeCounter::new(settings.first..settings.first + settings.n_episodes);
+    let work = || Shift::new(player, settings, &episodes).run(make, &observe);
     let n_threads = settings.n_threads.min(settings.n_episodes as usize).max(1);
-    in_threads("evaluate", repeat_n(work, n_threads), Error::Thread)
+    in_threads("evaluate", &episodes, repeat_n(work, n_threads), Error::Thread)
+}
+
+/// Hands the indices of episodes to threads, each once.
+#[derive(Debug)]
+pub struct EpisodeCounter {
+    next: AtomicU64,
+    end: u64,
+}
+
+impl EpisodeCounter {
+    /// Makes a counter that hands out these indices.
+    pub fn new(episodes: Range<u64>) -> Self {
+        Self { next: AtomicU64::new(episodes.start), end: episodes.end }
+    }
+
+    /// Takes the index of an episode that no thread plays yet; `None` if there are no more.
+    pub fn take(&self) -> Option<u64> {
+        let index = self.next.fetch_add(1, Ordering::Relaxed);
+        (index < self.end).then_some(index)
+    }
+
+    /// Passes on how something went; after a failure no more indices are handed out.
+    fn unless_failed<T, E>(&self, found: Result<T, E>) -> Result<T, E> {
+        if found.is_err() {
+            // Nobody gets what the other threads would still find, and nobody hears of the failure before they end.
+            self.next.store(self.end, Ordering::Relaxed);
+        }
+        found
+    }
 }
 
 /// What episodes gave, with their indices.
@@ -128,11 +158,14 @@ type Indexed<T> = Vec<(u64, T)>;
 
 /// Does jobs side by side, the last one in this thread, and returns what all of them found, sorted by its index.
 ///
+/// The jobs take their indices from `episodes`, which hands out no more once one of them has failed.
+///
 /// # Errors
 ///
 /// That of a job, or of a thread that cannot be started.
 pub fn in_threads<T, E, J>(
     name: &str,
+    episodes: &EpisodeCounter,
     jobs: impl IntoIterator<Item = J>,
     not_started: impl Fn(io::Error) -> E,
 ) -> Result<Vec<T>, E>
@@ -146,10 +179,11 @@ where
     let mut done = thread::scope(|scope| {
         let start = |(i, job): (usize, J)| {
             let thread = thread::Builder::new().name(format!("{name}-{i}"));
-            thread.spawn_scoped(scope, job).map_err(&not_started)
+            let thread = thread.spawn_scoped(scope, move || episodes.unless_failed(job()));
+            episodes.unless_failed(thread).map_err(&not_started)
         };
         let threads = jobs.into_iter().enumerate().map(start).collect::<Result<Vec<_>, E>>()?;
-        let mut all = last.map_or_else(|| Ok(Vec::new()), |job| job())?;
+        let mut all = last.map_or_else(|| Ok(Vec::new()), |job| episodes.unless_failed(job()))?;
         for thread in threads {
             // A panic in a thread is a bug; it goes on in the caller.
             let part = thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -164,7 +198,7 @@ where
 /// One thread's part: episodes from a shared counter, until there are no more.
 struct Shift<'a, O: EpisodeObserver> {
     settings: &'a PlaySettings<'a>,
-    next: &'a AtomicU64,
+    episodes: &'a EpisodeCounter,
     player: Player,
     lockstep: Lockstep,
     slots: Vec<EnvSlot>,
@@ -176,10 +210,10 @@ struct Shift<'a, O: EpisodeObserver> {
 }
 
 impl<'a, O: EpisodeObserver> Shift<'a, O> {
-    fn new(player: &Player, settings: &'a PlaySettings<'a>, next: &'a AtomicU64) -> Self {
+    fn new(player: &Player, settings: &'a PlaySettings<'a>, episodes: &'a EpisodeCounter) -> Self {
         Self {
             settings,
-            next,
+            episodes,
             player: player.clone(),
             lockstep: Lockstep::default(),
             slots: Vec::new(),
@@ -195,7 +229,7 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
         observe: &impl Fn(u64) -> O,
     ) -> Result<Indexed<O::Output>, Error> {
         while self.slots.len() < self.settings.n_slots.max(1) {
-            let Some(index) = self.take() else { break };
+            let Some(index) = self.episodes.take() else { break };
             let seed = episode_seed(self.settings.seed, index);
             let mut slot = EnvSlot::new(make()?, self.player.recurrent_dim(), seed);
             slot.draw_from(seed.stream(Purpose::Act));
@@ -223,15 +257,9 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
         Ok(self.done)
     }
 
-    /// Takes the index of an episode that no thread plays yet.
-    fn take(&self) -> Option<u64> {
-        let index = self.next.fetch_add(1, Ordering::Relaxed);
-        (index < self.settings.first + self.settings.n_episodes).then_some(index)
-    }
-
     /// Finishes the episode of a slot, which takes another one or goes.
     fn replace(&mut self, row: usize, end: End, observe: &impl Fn(u64) -> O) {
-        let Some(index) = self.take() else {
+        let Some(index) = self.episodes.take() else {
             let slot = self.slots.remove(row);
             let output = self.observers.remove(row).finish(&slot, end);
             self.done.push((self.indices.remove(row), output));
@@ -263,5 +291,95 @@ impl<'a, O: EpisodeObserver> Shift<'a, O> {
             Some(row) => Err(Error::Endless { index: self.indices[row], n_steps }),
             None => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Barrier};
+
+    use leadtime_proto::{ActionSpec, EnvSpec};
+    use leadtime_sims::{SnapshotError, StepOutcome};
+
+    use super::*;
+
+    /// Plays the first episode without an end and all others in one step, the second not before the first was given up.
+    struct Uneven {
+        spec: EnvSpec,
+        is_endless: bool,
+        n_begun: Arc<AtomicU64>,
+        given_up: Option<Arc<Barrier>>,
+    }
+
+    impl Uneven {
+        fn wait(&mut self) {
+            if let Some(given_up) = self.given_up.take() {
+                given_up.wait();
+            }
+        }
+    }
+
+    impl Environment for Uneven {
+        fn spec(&self) -> &EnvSpec {
+            &self.spec
+        }
+
+        fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
+            observation.fill(0.0);
+            self.n_begun.fetch_add(1, Ordering::Relaxed);
+            self.is_endless = seed.env_id == EnvId(0);
+            if !self.is_endless {
+                self.wait();
+            }
+        }
+
+        fn step(&mut self, _action: &[u8], observation: &mut [f32]) -> StepOutcome {
+            observation.fill(0.0);
+            StepOutcome { reward: 0.0, end: (!self.is_endless).then_some(End::Terminated) }
+        }
+
+        fn metrics(&self, _out: &mut [f32]) {}
+
+        fn write_state(&self, _out: &mut Vec<u8>) {}
+
+        fn read_state(&mut self, _: &[u8], _: &mut [f32]) -> Result<(), SnapshotError> {
+            Ok(())
+        }
+
+        fn baselines(&self) -> &'static [&'static str] {
+            &["unaided"]
+        }
+
+        fn baseline_action(&self, _name: &str, action: &mut [u8]) -> bool {
+            action.fill(0);
+            true
+        }
+    }
+
+    impl Drop for Uneven {
+        fn drop(&mut self) {
+            if self.is_endless {
+                self.wait();
+            }
+        }
+    }
+
+    #[test]
+    fn a_failure_in_one_thread_keeps_the_others_from_what_is_left() {
+        const N_EPISODES: u64 = 200_000;
+        let (n_begun, given_up) = (Arc::new(AtomicU64::new(0)), Arc::new(Barrier::new(2)));
+        let make = || -> Result<Box<dyn Environment>, TaskError> {
+            let actions = ActionSpec::discrete("action", 2);
+            let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+            let (n_begun, given_up) = (Arc::clone(&n_begun), Some(Arc::clone(&given_up)));
+            Ok(Box::new(Uneven { spec, is_endless: false, n_begun, given_up }))
+        };
+        let settings = PlaySettings::new(N_EPISODES, 1).threads(2);
+        let settings = PlaySettings { n_slots: 1, max_steps: 3, ..settings };
+        let error = play(&make, &Player::baseline("unaided"), &settings, |_| ()).unwrap_err();
+        assert!(matches!(error, Error::Endless { index: 0, n_steps: 3 }), "{error}");
+        // The other thread may have begun some more before it hears of the failure.
+        let n_begun = n_begun.load(Ordering::Relaxed);
+        assert!(n_begun < N_EPISODES, "{n_begun} episodes were begun");
     }
 }

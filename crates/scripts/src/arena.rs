@@ -1,9 +1,8 @@
 //! Where candidates are tried: the same episodes for all of them, spread over threads.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicU64, Ordering};
 
-use leadtime_episodes::{MakeEnvironment, episode_seed, in_threads};
+use leadtime_episodes::{EpisodeCounter, MakeEnvironment, episode_seed, in_threads};
 use leadtime_numerics::Pcg64;
 use leadtime_sims::{Environment, Message, TaskError};
 
@@ -55,26 +54,23 @@ impl<'a> Arena<'a> {
         episodes: Range<u64>,
     ) -> Result<Vec<Tried>, Error> {
         let bound = BoundScript::bind(script, self.environments[0].as_ref())?;
-        let next = AtomicU64::new(episodes.start);
+        let episodes = EpisodeCounter::new(episodes);
         let (seed, stop) = (self.seed, self.stop);
         let work = |environment: &mut dyn Environment| {
             let mut bound = bound.clone();
             let mut done = Vec::new();
-            loop {
-                let index = next.fetch_add(1, Ordering::Relaxed);
-                if index >= episodes.end {
-                    return Ok(done);
-                }
+            while let Some(index) = episodes.take() {
                 if stop() {
                     return Err(Error::Interrupted);
                 }
                 done.push((index, try_once(environment, &mut bound, seed, index)?));
             }
+            Ok(done)
         };
         let work = &work;
         let environments = self.environments.iter_mut();
         let jobs = environments.map(|environment| move || work(environment.as_mut()));
-        in_threads("search", jobs, Error::Thread)
+        in_threads("search", &episodes, jobs, Error::Thread)
     }
 
     /// Says things at random, and shows `look` the task's numbers in every step; returns what the episodes gave.

@@ -4,7 +4,7 @@ use std::error::Error as StdError;
 
 use leadtime_episodes::{EnvSlot, Scripted};
 use leadtime_proto::phrase::no_such;
-use leadtime_sims::{Environment, Message};
+use leadtime_sims::{Environment, Message, Scriptable};
 
 use crate::error::Error;
 use crate::script::{Script, ScriptCondition, ScriptRule};
@@ -39,14 +39,14 @@ impl BoundScript {
     /// # Errors
     ///
     /// [`Error::NoMessages`] if none are sent in it; [`Error::Rule`] if a rule names a number, or says a message, that the
-    /// task does not have.
+    /// task does not have, or looks ahead at a number whose last change is not known.
     pub fn bind(script: &Script, environment: &dyn Environment) -> Result<Self, Error> {
         let task = environment.scriptable().ok_or(Error::NoMessages)?;
         script.check()?;
         let names: Vec<String> = task.quantities().into_iter().map(|it| it.name).collect();
-        let (topics, messages) = (task.topics(), task.messages());
+        let messages = task.messages();
         let bind = |(i, rule): (usize, &ScriptRule)| {
-            let bound = bind_rule(rule, &names, topics, &messages);
+            let bound = bind_rule(rule, task, &names, &messages);
             bound.map_err(|sentence| Error::Rule { rule: i + 1, sentence })
         };
         let rules = script.rules.iter().enumerate().map(bind).collect::<Result<_, _>>()?;
@@ -84,10 +84,11 @@ impl BoundScript {
 
 fn bind_rule(
     rule: &ScriptRule,
+    task: &dyn Scriptable,
     names: &[String],
-    topics: &[&str],
     messages: &[Message],
 ) -> Result<BoundRule, String> {
+    let topics = task.topics();
     let place = |of: &String| {
         let found = names.iter().position(|name| name == of);
         found.ok_or_else(|| no_such("number", of, names.iter().map(String::as_str)))
@@ -95,7 +96,9 @@ fn bind_rule(
     let condition = |it: &ScriptCondition| {
         let (above, below) =
             (it.above.unwrap_or(f64::NEG_INFINITY), it.below.unwrap_or(f64::INFINITY));
-        Ok(BoundCondition { place: place(&it.of)?, ahead: it.ahead, above, below })
+        let place = place(&it.of)?;
+        check_ahead(it, place, task)?;
+        Ok(BoundCondition { place, ahead: it.ahead, above, below })
     };
     let when = rule.when.iter().map(condition).collect::<Result<_, String>>()?;
     let say = rule.say.as_ref().map(|said| {
@@ -116,6 +119,24 @@ fn bind_rule(
         ))
     });
     Ok(BoundRule { say: say.transpose()?, pause: rule.pause, when })
+}
+
+/// Refuses to look ahead at a number of which nothing is remembered: its last change would count as 0 without a word.
+fn check_ahead(
+    condition: &ScriptCondition,
+    place: usize,
+    task: &dyn Scriptable,
+) -> Result<(), String> {
+    let ScriptCondition { of, ahead, .. } = condition;
+    if *ahead <= 0.0 || place < task.n_remembered() {
+        return Ok(());
+    }
+    let why = if place < task.n_observed() {
+        "with `notifier.history = 1` no number is remembered for a step"
+    } else {
+        "only numbers of the observation are remembered for a step"
+    };
+    Err(format!("`ahead` of {of} is {ahead}, and {why}; allowed: 0"))
 }
 
 impl BoundCondition {
@@ -172,9 +193,10 @@ impl Scripted for ScriptPlayer {
 mod tests {
     use leadtime_episodes::Player;
     use leadtime_sims::classic::{CartPole, CartPoleSettings};
+    use leadtime_sims::notifier::NotifierSettings;
 
     use super::*;
-    use crate::test_support::{cliff, played, share};
+    use crate::test_support::{cliff, cliff_with, played, share};
 
     fn refused(rules: &str) -> String {
         let script = Script::read(rules).unwrap();
@@ -229,5 +251,25 @@ mod tests {
         let ahead = stop_at("of = \"walked\", ahead = 4.0, above = 9.0");
         assert_eq!(ahead, stop_at("of = \"walked\", above = 5.0"));
         assert_ne!(ahead, stop_at("of = \"walked\", above = 6.0"));
+    }
+
+    #[test]
+    fn no_rule_looks_ahead_at_a_number_that_is_not_remembered() {
+        let bound = |of: &str, history| {
+            let rule = format!("[[rules]]\nwhen = [{{ of = \"{of}\", ahead = 2.0, below = 4.0 }}]");
+            let settings = NotifierSettings { history, ..NotifierSettings::default() };
+            let environment = cliff_with(&settings).unwrap();
+            let bound = BoundScript::bind(&Script::read(&rule).unwrap(), environment.as_ref());
+            bound.map_err(|error| error.to_string())
+        };
+        bound("walked", 2).unwrap();
+        let added = "only numbers of the observation are remembered for a step; allowed: 0";
+        let short = "with `notifier.history = 1` no number is remembered for a step; allowed: 0";
+        let refused =
+            [("left", 2, added), ("step", 2, added), ("left", 1, added), ("walked", 1, short)];
+        for (of, history, why) in refused {
+            let says = format!("rule 1: `ahead` of {of} is 2, and {why}");
+            assert_eq!(bound(of, history).unwrap_err(), says);
+        }
     }
 }

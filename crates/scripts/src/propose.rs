@@ -27,7 +27,7 @@ struct ObservedNumber {
     name: String,
     /// Different ones, rising, at least two.
     values: Vec<f64>,
-    /// It was seen to change from one step to the next.
+    /// It was seen to change from one step to the next; what is not remembered for a step never is.
     changes: bool,
 }
 
@@ -58,7 +58,8 @@ impl ValueLog {
     pub(crate) fn look(&mut self, now: &[f32], before: &[f32]) {
         for (i, (&now, &before)) in now.iter().zip(before).enumerate() {
             self.values[i].push(f64::from(now));
-            self.changes[i] |= now != before;
+            // What is no number differs from itself, and is no change.
+            self.changes[i] |= (now - before).abs() > 0.0;
         }
     }
 }

@@ -64,7 +64,8 @@ pub struct ScriptMessage {
 pub struct ScriptCondition {
     /// The number's name, as `leadtime describe` has it for one step.
     pub of: String,
-    /// Looks so many steps ahead: its last change, times this, is added. Default 0.
+    /// Looks so many steps ahead: its last change, times this, is added. Only for numbers of the observation, where the
+    /// notifier's history is longer than 1. Default 0.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub ahead: f64,
     /// It must be at least this.

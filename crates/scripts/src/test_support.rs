@@ -99,10 +99,15 @@ impl Domain for Cliff {
 
 /// Makes the task; the listener's delay varies from message to message.
 pub(crate) fn cliff() -> Result<Box<dyn Environment>, TaskError> {
+    cliff_with(&NotifierSettings::default())
+}
+
+/// Makes the same task with another notifier.
+pub(crate) fn cliff_with(notifier: &NotifierSettings) -> Result<Box<dyn Environment>, TaskError> {
     let delay = r#"{"uniform": {"low": 1, "high": 2, "drawn": "per_notification"}}"#;
     let reaction_delay: ReactionDelay = serde_json::from_str(delay).unwrap();
     let human = HumanSettings { reaction_delay, ..HumanSettings::default() };
-    Ok(Box::new(NotifierEnv::new(Cliff::default(), &human, &NotifierSettings::default())?))
+    Ok(Box::new(NotifierEnv::new(Cliff::default(), &human, notifier)?))
 }
 
 /// What an episode gave: success, return, messages.

@@ -346,7 +346,7 @@ impl HumanSettings {
     }
 
     /// Computes how many steps the reaction to a message lasts, both conventions of its end included.
-    pub(super) fn reaction_steps(&self, message: Message, reason: f64) -> u32 {
+    pub(crate) fn reaction_steps(&self, message: Message, reason: f64) -> u32 {
         let informativeness = self.informativeness_of(message, reason);
         let steps = match self.follow_through {
             FollowThrough::Length => libm::round(informativeness) as u32,

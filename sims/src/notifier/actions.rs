@@ -68,7 +68,8 @@ impl Actions {
     ) -> Result<Self, SettingError> {
         settings.check()?;
         let topic_ids = settings.topic_ids(known_topics)?;
-        let table = |cells: &Vec<_>| CellTable::new(cells, known_topics, &topic_ids);
+        let table =
+            |cells: &Vec<_>| CellTable::up_to(settings.k_max, cells, known_topics, &topic_ids);
         let cells = settings.cells.as_ref().map(table).transpose()?;
         let words = settings.words.clone();
         let n_k = words.iter().filter(|&&k| settings.k_max.is_none_or(|most| k <= most)).count();
@@ -360,6 +361,27 @@ mod tests {
         let lacking = NotifierSettings { cells: Some(vec![cell("up", 2, 4)]), ..settings };
         let error = Actions::new(&lacking, TOPICS, false).unwrap_err().to_string();
         assert!(error.starts_with("`notifier.cells` is a table without `down`"), "{error}");
+    }
+
+    #[test]
+    fn no_cell_that_is_said_has_a_k_beyond_the_greatest() {
+        let settings = |cells: &[(u32, u32)], notification| NotifierSettings {
+            notification,
+            k_max: Some(3),
+            topics: Some(vec!["up".to_owned()]),
+            cells: Some(cells.iter().map(|&(k, l)| ("up".to_owned(), k, l)).collect()),
+            ..NotifierSettings::default()
+        };
+        for notification in [TopicOnly, CompleteUtterance, IncrementallyActionable] {
+            // (3, 3) is nearer to the first of them.
+            let both = settings(&[(4, 4), (2, 9)], notification);
+            let actions = Actions::new(&both, TOPICS, false).unwrap();
+            assert_eq!(actions.messages(), [message(0, 2, 9)], "{notification:?}");
+            let late = settings(&[(4, 4)], notification);
+            let error = Actions::new(&late, TOPICS, false).unwrap_err().to_string();
+            let says = "`notifier.cells` is a table without `up` with k up to 3; allowed: ";
+            assert!(error.starts_with(says), "{error}");
+        }
     }
 
     #[test]

@@ -33,6 +33,16 @@ impl CellTable {
         known: &[&str],
         spoken: &[usize],
     ) -> Result<Self, SettingError> {
+        Self::up_to(None, cells, known, spoken)
+    }
+
+    /// Does as [`CellTable::new`], and leaves out what is understood after more than `k_max` words.
+    pub(super) fn up_to(
+        k_max: Option<u32>,
+        cells: &[SayableCell],
+        known: &[&str],
+        spoken: &[usize],
+    ) -> Result<Self, SettingError> {
         let topics = known.join(", ");
         let allowed = format!(
             "[topic, k, l] with 1 <= k <= l <= {MAX_WORDS}, at least one for each topic that may be spoken of; \
@@ -43,12 +53,15 @@ impl CellTable {
         for (name, k, l) in cells {
             let fits = 1 <= *k && k <= l && *l <= MAX_WORDS;
             match known.iter().position(|topic| topic == name).filter(|_| fits) {
-                Some(id) => by_topic[id].push((*k, *l)),
+                // Here and not in `nearest`: whoever asks for a k that is allowed would hear a greater one.
+                Some(id) if k_max.is_none_or(|most| *k <= most) => by_topic[id].push((*k, *l)),
+                Some(_) => {}
                 None => return Err(error(format!("a table with [\"{name}\", {k}, {l}]"))),
             }
         }
         if let Some(&id) = spoken.iter().find(|&&id| by_topic[id].is_empty()) {
-            return Err(error(format!("a table without `{}`", known[id])));
+            let bound = k_max.map_or_else(String::new, |most| format!(" with k up to {most}"));
+            return Err(error(format!("a table without `{}`{bound}", known[id])));
         }
         for cells in &mut by_topic {
             cells.sort_unstable();

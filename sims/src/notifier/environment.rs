@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::session::Session;
 use super::settings::NotifierSettings;
-use crate::check::SettingError;
+use crate::check::{SettingError, require};
 use crate::description::{Description, ObservationLayout, Quantity, RewardTerm};
 use crate::environment::{
     End, EntityHistory, Environment, EpisodeSeed, Insight, SnapshotError, StepOutcome,
@@ -122,6 +122,7 @@ impl<D: Domain> NotifierEnv<D> {
         let (obs_dim, actions) = (session.row_dim(), session.actions().spec());
         let spec = EnvSpec { obs_dim, actions, metrics: metrics.collect() };
         spec.actions.check()?;
+        check_follow_through(&domain, human, &reasons, &session.actions().messages())?;
         let informs = |topic: &usize| !domain.asks_for_action(*topic);
         let informative = (0..domain.topics().len()).filter(informs).collect();
         Ok(Self {
@@ -276,6 +277,22 @@ fn reasons(
         }),
         None => Ok(ReasonTable::default()),
     }
+}
+
+/// Refuses a listener whom no message moves: every one would be paid for in vain, and a policy would learn silence.
+fn check_follow_through<D: Domain>(
+    domain: &D,
+    human: &HumanSettings,
+    reasons: &ReasonTable,
+    messages: &[Message],
+) -> Result<(), SettingError> {
+    let mut asking = messages.iter().filter(|said| domain.asks_for_action(said.topic)).peekable();
+    let fits = asking.peek().is_none()
+        || asking.any(|&said| human.reaction_steps(said, reasons.share(said)) > 0);
+    let given = "0 steps for every message that asks for an action";
+    let allowed = "a rule by which some message is followed for a step or more, such as { fixed = 3 }; `human.informativeness` \
+                   and its weight say what the others count, of the k and l that `notifier` allows";
+    require(fits, "human.follow_through", given, allowed)
 }
 
 /// Divides, and calls nothing divided by nothing 0: a metric must be a number.
@@ -482,6 +499,10 @@ impl<D: Domain> Scriptable for NotifierEnv<D> {
 
     fn n_observed(&self) -> usize {
         self.domain.obs_dim()
+    }
+
+    fn n_remembered(&self) -> usize {
+        if self.session.history().n_pairs() > 1 { self.n_observed() } else { 0 }
     }
 
     fn write_quantities(&self, now: &mut [f32], before: &mut [f32]) {

@@ -6,8 +6,8 @@ use proptest::sample::select;
 
 use super::*;
 use crate::environment::End;
-use crate::human::{Interrupt, ReactionDelay, ReactionReward};
-use crate::notifier::NotificationType::{CompleteUtterance, IncrementallyActionable};
+use crate::human::{FollowThroughEnd, Informativeness, Interrupt, ReactionDelay, ReactionReward};
+use crate::notifier::NotificationType::{CompleteUtterance, IncrementallyActionable, TopicOnly};
 use crate::{Advance, Delivery, Message, ReactionStatus, ReactionStep};
 
 const LIMIT: u32 = 40;
@@ -243,6 +243,26 @@ fn topics_can_be_restricted() {
     let mut env = env(&HumanSettings::delay_free(), &notifier);
     assert_eq!(env.spec().actions.heads[1].n_choices, 1);
     assert_eq!(play(&mut env, 2, &only::<3>([1, 0, 0, 0])).0, [2, 2, 3]);
+}
+
+#[test]
+fn a_listener_whom_no_message_moves_is_refused() {
+    let made = |human: &HumanSettings, notification| {
+        let notifier = NotifierSettings { notification, ..Default::default() };
+        let made = NotifierEnv::new(Walker::default(), human, &notifier);
+        made.map(drop).map_err(|error| error.to_string())
+    };
+    let tail = HumanSettings { informativeness: Informativeness::Tail, ..HumanSettings::default() };
+    for notification in [TopicOnly, CompleteUtterance] {
+        let error = made(&tail, notification).unwrap_err();
+        let says = "`human.follow_through` is 0 steps for every message that asks for";
+        assert!(error.starts_with(says), "{error}");
+    }
+    made(&tail, IncrementallyActionable).unwrap();
+    let inclusive = HumanSettings { follow_through_end: FollowThroughEnd::Inclusive, ..tail };
+    made(&inclusive, CompleteUtterance).unwrap();
+    let weightless = HumanSettings { informativeness_weight: 0.0, ..HumanSettings::default() };
+    made(&weightless, IncrementallyActionable).unwrap_err();
 }
 
 #[test]

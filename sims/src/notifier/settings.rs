@@ -33,7 +33,7 @@ pub struct NotifierSettings {
     /// The topics that may be spoken of, by name, in this order. Default: all of the domain's.
     pub topics: Option<Vec<String>>,
     /// The k and l that can be said on each topic; another choice becomes the nearest of its topic
-    /// ([`CellTable`](super::CellTable)).
+    /// ([`CellTable`](super::CellTable)). Those with a k above `k_max` are left out.
     /// Default: all.
     pub cells: Option<Vec<SayableCell>>,
     /// How often what is said on a topic with k and l states a reason; left out cells never do. Default: none does.
