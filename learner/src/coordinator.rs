@@ -42,7 +42,7 @@ pub const TICK: Duration = Duration::from_millis(500);
 const BEHIND: &str = "it is far behind the others";
 /// How often in a row a member may follow an assignment that it was not given before it is given up.
 const MAX_ASTRAY: u32 = 3;
-/// Ticks without a rollout after which a member that says hello, and has nothing on its way, does not have the environments
+/// Ticks of owing a rollout after which a member that says hello, and has nothing on its way, does not have the environments
 /// that it was given: a little less than an actor without environments waits before it says so.
 const IDLE_TICKS: u64 = 16;
 const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
@@ -257,8 +257,8 @@ impl Coordinator {
         }
     }
 
-    /// Gives a member its environments again if it has delivered nothing for [`IDLE_TICKS`]: it has dropped them, or somebody else
-    /// has ordered it to. As seldom as that, too: a hello is small, and the snapshots of all its environments are not.
+    /// Gives a member its environments again if it has delivered nothing of what it owed for [`IDLE_TICKS`]: it has dropped them, or
+    /// somebody else has ordered it to. As seldom as that, too: a hello is small, and the snapshots of all its environments are not.
     fn give_again_if_quiet(&mut self, key: &SenderKey) {
         let n_idle_ticks = self.roster.sender(key).map_or(0, |sender| sender.n_idle_ticks);
         if n_idle_ticks >= IDLE_TICKS
@@ -507,8 +507,8 @@ impl Coordinator {
     /// Notes that a [`TICK`] has passed: credit is repeated in case it was lost, and who is late is noticed.
     pub fn tick(&mut self) {
         self.credit_everyone();
-        self.roster.tick();
-        let lacking = self.lacking();
+        let (owing, lacking) = (self.owing(), self.lacking());
+        self.roster.tick(&owing);
         let mut is_due = false;
         for finding in self.stragglers.tick(&lacking) {
             match finding {
@@ -533,14 +533,31 @@ impl Coordinator {
 
     /// Counts, per member, the environments that keep the next update from beginning.
     fn lacking(&self) -> BTreeMap<ActorId, usize> {
-        let mut lacking = BTreeMap::new();
         // While an update runs the learner itself is what takes time, so nobody is late.
-        if self.stage == RunStage::Running && self.in_training == 0 {
+        if self.in_training == 0 { self.without_rollouts() } else { BTreeMap::new() }
+    }
+
+    /// Lists the members that could deliver something now, and have not.
+    fn owing(&self) -> BTreeSet<ActorId> {
+        // Where versions are waited for, an update that runs leaves nothing to do for most. In `async` there is always
+        // something, and one update may follow the other.
+        let owing = if self.settings.spec.schedule.is_deterministic() {
+            self.lacking()
+        } else {
+            self.without_rollouts()
+        };
+        owing.into_keys().collect()
+    }
+
+    /// Counts, per member, the environments of which no rollout waits.
+    fn without_rollouts(&self) -> BTreeMap<ActorId, usize> {
+        let mut n_envs = BTreeMap::new();
+        if self.stage == RunStage::Running {
             for owner in self.queue.lacking().filter_map(|env_id| self.assigner.owner(env_id)) {
-                *lacking.entry(owner.key.0.clone()).or_default() += 1;
+                *n_envs.entry(owner.key.0.clone()).or_default() += 1;
             }
         }
-        lacking
+        n_envs
     }
 
     /// Orders every actor to leave; environments move no more.
