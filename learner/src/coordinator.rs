@@ -878,7 +878,7 @@ impl Coordinator {
             self.effects.push(Effect::Control { to: to.clone(), membership, control });
         }
         if n_snapshots > 0 {
-            self.stragglers.restores(&actor, epoch, n_snapshots);
+            self.stragglers.restores(&actor, epoch, n_snapshots, n_given + n_kept);
         }
         if let Some(sender) = self.roster.sender(&to) {
             sender.ordered = epoch;
