@@ -602,6 +602,11 @@ impl Coordinator {
         self.queue.consumed()
     }
 
+    /// Returns the environments of which rollouts were dropped between the trainer's state and those places.
+    pub fn passed_over(&self) -> &BTreeSet<EnvId> {
+        self.queue.passed_over()
+    }
+
     /// Returns how many rollouts have been accepted and not yet trained on.
     pub fn n_pending(&self) -> u64 {
         self.queue.len() as u64 + self.in_training

@@ -7,6 +7,7 @@ use crate::stragglers::BACK_OFF;
 
 use super::*;
 
+mod checkpoints;
 mod strangers;
 
 const WINDOW: u32 = 4;
