@@ -28,7 +28,8 @@ import zenoh
 from blake3 import blake3
 from crc32c import crc32c
 
-PROGRAM = Path(os.environ.get("PROGRAM", Path(__file__).resolve().parent.parent / "target/release/leadtime"))
+from processes import PROGRAM, end_all, free_port, need_program, spawn
+
 # What messages hold, as in proto/src/header.rs.
 HELLO, CONTROL, ROLLOUT = 1, 3, 5
 RUN = "-c cartpole --seed 5 --set learner.n_envs=8 --set learner.n_steps=64 --set learner.n_minibatches=4 --set learner.mode=sync --set evaluation.during_training=0"
@@ -275,9 +276,7 @@ class Trial:
 
     def __init__(self, path, steps, has_router):
         self.path, self.actors, self.peak = path, {}, 0
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.router = [self.start("router", "router", "--listen", self.endpoint)] if has_router else []
         at = "--connect" if has_router else "--listen"
         self.learner = self.start("learner", "learner", *RUN.split(), "--name", "r", "--set", f"learner.total_steps={steps}", at, self.endpoint)
@@ -285,8 +284,7 @@ class Trial:
             self.join(name)
 
     def start(self, name, *words):
-        with (self.path / f"{name}.log").open("wb") as log:
-            return subprocess.Popen([PROGRAM, *words], cwd=self.path, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        return spawn(self.path, name, PROGRAM, *words)
 
     def join(self, name):
         self.actors[name] = self.start(name, "actor", "--connect", self.endpoint, "--id", name, "--connect-timeout", "30s")
@@ -320,10 +318,7 @@ class Trial:
         return codes
 
     def kill(self):
-        for process in [self.learner, *self.actors.values(), *self.router]:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
+        end_all([self.learner, *self.actors.values(), *self.router], patience=0)
 
     def result(self):
         return json.loads((self.path / "runs/r/run.json").read_text()).get("result") or {}
@@ -373,8 +368,9 @@ def main():
     parser.add_argument("--router", action="store_true", help="all dial a router without a list, instead of a learner that listens")
     options = parser.parse_args()
     unknown = set(options.attacks) - set(ATTACKS)
-    if unknown or not PROGRAM.exists():
-        sys.exit(f"error: {f'no attack {unknown}' if unknown else f'there is no {PROGRAM}; build it with `cargo build --release`, or set PROGRAM'}")
+    if unknown:
+        sys.exit(f"error: no attack {unknown}")
+    need_program()
     steps = options.updates * STEPS_PER_UPDATE
     with tempfile.TemporaryDirectory(prefix="attacks-", ignore_cleanup_errors=True) as place:
         place = Path(place)

@@ -21,6 +21,8 @@ import threading
 import time
 from pathlib import Path
 
+from processes import free_port
+
 HOST = "127.0.0.1"
 # The life of an actor's certificate, how long before its end it is made anew, and how often that is looked at.
 LIFETIME, BEFORE, RENEW_EVERY = 60, 35, 10
@@ -44,12 +46,6 @@ def arguments():
     parser.add_argument("--pause", type=float, default=3, help="mean seconds between blows")
     parser.add_argument("--blows", type=int, default=1, help="seed of the blows")
     return parser.parse_args()
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return probe.getsockname()[1]
 
 
 class Relay:

@@ -14,8 +14,6 @@ import argparse
 import json
 import os
 import re
-import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -25,16 +23,11 @@ import time
 import urllib.request
 from pathlib import Path
 
-PROGRAM = Path(os.environ.get("PROGRAM", Path(__file__).resolve().parent.parent / "target/release/leadtime"))
+from processes import PROGRAM, end_all, free_port, need_program, spawn
+
 # Seconds until the run is at its pace, and at the beginning of a turn that do not count: a watcher starts in them.
 WARM_UP, SETTLE = 4, 1.0
 KINDS = ["scraped", "pages", "played"]
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def seconds_of(processes):
@@ -67,10 +60,8 @@ class Place:
         subprocess.run([str(PROGRAM), *words], cwd=self.path, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
     def start(self, *words, program=PROGRAM):
-        with (self.path / "log").open("ab") as log:
-            process = subprocess.Popen([str(program), *words], cwd=self.path, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL if program == "curl" else log, stderr=log)
-        self.processes.append(process)
-        return process
+        self.processes.append(spawn(self.path, "all", program, *words, stdout=subprocess.DEVNULL if program == "curl" else None))
+        return self.processes[-1]
 
     def scrape(self):
         """Reads the status page once a second, whenever it is asked to."""
@@ -113,16 +104,8 @@ class Place:
         return rate, share
 
     def end(self, processes):
-        for process in processes:
-            if process.poll() is None:
-                process.send_signal(signal.SIGTERM)
-        for process in processes:
-            try:
-                process.wait(5)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
-            self.processes.remove(process)
+        end_all(processes)
+        self.processes = [process for process in self.processes if process not in processes]
 
 
 def main():
@@ -134,15 +117,14 @@ def main():
     parser.add_argument("--task", default="lander")
     parser.add_argument("--kinds", default=",".join(KINDS))
     options = parser.parse_args()
-    if not PROGRAM.exists():
-        sys.exit(f"error: there is no {PROGRAM}; build it with `cargo build --release`, or set PROGRAM")
+    need_program()
     kinds, deadline = options.kinds.split(","), time.monotonic() + options.seconds
     with tempfile.TemporaryDirectory(prefix="observed-", ignore_cleanup_errors=True) as path:
         place = Place(Path(path), options)
         try:
             while not (Path(path) / "runs/r/metrics.jsonl").exists() or place.lines() < 3:
                 if place.run[0].poll() is not None or time.monotonic() > deadline:
-                    sys.exit(f"error: the run does not begin: {re.sub(chr(10), ' ', (Path(path) / 'log').read_text()[-2000:])}")
+                    sys.exit(f"error: the run does not begin: {re.sub(chr(10), ' ', (Path(path) / 'all.log').read_text()[-2000:])}")
                 time.sleep(0.05)
             time.sleep(WARM_UP)
             before, shares, alone = place.turn(None)[0], {}, []
@@ -155,7 +137,7 @@ def main():
                 alone.append(before)
                 before = after
         finally:
-            place.end(list(place.processes))
+            place.end(place.processes)
     print(f"alone    {statistics.median(alone):8.0f} steps/s, {min(alone):.0f} to {max(alone):.0f}")
     for kind, found in shares.items():
         rates, parts, used = zip(*found)

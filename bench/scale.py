@@ -14,7 +14,6 @@ import re
 import resource
 import shutil
 import signal
-import socket
 import statistics
 import subprocess
 import sys
@@ -22,6 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
+from processes import free_port
 from reckoning import FIGURES, Site, amount, least_lag, tables
 
 PAGE = Path(__file__).resolve().parent.parent / "docs/scale.md"
@@ -66,12 +66,6 @@ def arguments():
     parser.add_argument("--seconds", type=float, help="how long each is measured (default 15; with --quick 2)")
     parser.add_argument("--write", action="store_true", help="write figures and tables into their files")
     return parser.parse_args()
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 def ip(*words):

@@ -118,7 +118,6 @@ part_roofline() { ours roofline; }
 part_lander() {
     ours lander
     peer bench/peers/lander_gymnasium.py
-    peer bench/peers/lander_envpool.py
 }
 part_highway() {
     ours highway

@@ -13,7 +13,6 @@ import argparse
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -21,7 +20,8 @@ import time
 import urllib.request
 from pathlib import Path
 
-PROGRAM = Path(os.environ.get("PROGRAM", Path(__file__).resolve().parent.parent / "target/release/leadtime"))
+from processes import PROGRAM, end_all, free_port, need_program, spawn
+
 # Seconds until all actors are there for the first time, and for which the run is left in peace then.
 PATIENCE, PEACE = 150, 3
 # How long all actors have to stay to be back, in seconds: the last ones may not have noticed their loss yet.
@@ -43,12 +43,6 @@ def arguments():
     return parser.parse_args()
 
 
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 class Run:
     """A learner and its actors as processes, in a directory of their own."""
 
@@ -67,10 +61,8 @@ class Run:
             self.start(f"actor-{i}", "nice", PROGRAM, "actor", "--connect", learner, "--id", f"a{i}", "--connect-timeout", "120s")
 
     def start(self, name, *words):
-        with (self.place / f"{name}.log").open("wb") as log:
-            process = subprocess.Popen([str(word) for word in words], stdin=subprocess.DEVNULL, stdout=log, stderr=log, cwd=self.place)
-        self.processes.append(process)
-        return process
+        self.processes.append(spawn(self.place, name, *words))
+        return self.processes[-1]
 
     def standing(self):
         """Members and updates; `None` while the learner does not answer."""
@@ -114,11 +106,7 @@ class Run:
         return (self.place / "learner.log").read_text(errors="replace").count("actor left")
 
     def end(self):
-        for process in self.processes:
-            if process.poll() is None:
-                process.kill()
-        for process in self.processes:
-            process.wait()
+        end_all(self.processes, patience=0)
 
 
 def storm(place, options):
@@ -137,16 +125,13 @@ def storm(place, options):
         print(f"actors and updates now {run.standing()}, lost {run.n_lost()} times", flush=True)
         return back
     finally:
-        for process in busy:
-            process.kill()
-            process.wait()
+        end_all(busy, patience=0)
         run.end()
 
 
 def main():
     options = arguments()
-    if not PROGRAM.exists():
-        sys.exit(f"error: there is no {PROGRAM}; build it with `cargo build --release`, or set PROGRAM")
+    need_program()
     failed = False
     for _ in range(options.times):
         with tempfile.TemporaryDirectory(prefix="storm-", ignore_cleanup_errors=True) as place:

@@ -31,20 +31,20 @@ use crate::assign::{Assigner, Reassignment};
 use crate::books::{Books, SenderKey};
 use crate::builds::{Build, Builds};
 use crate::report::{RosterEntry, RunEvent};
-use crate::rollout_queue::{Recovery, RolloutQueue};
+use crate::rollout_queue::RolloutQueue;
 use crate::roster::{MembershipNumber, Roster};
 use crate::stragglers::{Lateness, Stragglers};
+
+mod lost_snapshots;
 
 /// How often [`Coordinator::tick`] is to be called.
 pub const TICK: Duration = Duration::from_millis(500);
 const BEHIND: &str = "it is far behind the others";
 /// How often in a row a member may follow an assignment that it was not given before it is given up.
 const MAX_ASTRAY: u32 = 3;
-/// Ticks without a rollout after which a member that says hello, and has nothing on its way, does not have the environments
+/// Ticks of owing a rollout after which a member that says hello, and has nothing on its way, does not have the environments
 /// that it was given: a little less than an actor without environments waits before it says so.
 const IDLE_TICKS: u64 = 16;
-const DOUBTED: &str =
-    "an actor cannot restore the state that it sent, and no other one was there to try";
 const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
 /// The most bytes of snapshots in one assignment; more environments go into a second one. A checkpoint has to hold the snapshots of
 /// all environments, so there are fewer parts than messages may wait for an actor.
@@ -257,8 +257,8 @@ impl Coordinator {
         }
     }
 
-    /// Gives a member its environments again if it has delivered nothing for [`IDLE_TICKS`]: it has dropped them, or somebody else
-    /// has ordered it to. As seldom as that, too: a hello is small, and the snapshots of all its environments are not.
+    /// Gives a member its environments again if it has delivered nothing of what it owed for [`IDLE_TICKS`]: it has dropped them, or
+    /// somebody else has ordered it to. As seldom as that, too: a hello is small, and the snapshots of all its environments are not.
     fn give_again_if_quiet(&mut self, key: &SenderKey) {
         let n_idle_ticks = self.roster.sender(key).map_or(0, |sender| sender.n_idle_ticks);
         if n_idle_ticks >= IDLE_TICKS
@@ -507,8 +507,8 @@ impl Coordinator {
     /// Notes that a [`TICK`] has passed: credit is repeated in case it was lost, and who is late is noticed.
     pub fn tick(&mut self) {
         self.credit_everyone();
-        self.roster.tick();
-        let lacking = self.lacking();
+        let (owing, lacking) = (self.owing(), self.lacking());
+        self.roster.tick(&owing);
         let mut is_due = false;
         for finding in self.stragglers.tick(&lacking) {
             match finding {
@@ -533,92 +533,31 @@ impl Coordinator {
 
     /// Counts, per member, the environments that keep the next update from beginning.
     fn lacking(&self) -> BTreeMap<ActorId, usize> {
-        let mut lacking = BTreeMap::new();
         // While an update runs the learner itself is what takes time, so nobody is late.
-        if self.stage == RunStage::Running && self.in_training == 0 {
+        if self.in_training == 0 { self.without_rollouts() } else { BTreeMap::new() }
+    }
+
+    /// Lists the members that could deliver something now, and have not.
+    fn owing(&self) -> BTreeSet<ActorId> {
+        // Where versions are waited for, an update that runs leaves nothing to do for most. In `async` there is always
+        // something, and one update may follow the other.
+        let owing = if self.settings.spec.schedule.is_deterministic() {
+            self.lacking()
+        } else {
+            self.without_rollouts()
+        };
+        owing.into_keys().collect()
+    }
+
+    /// Counts, per member, the environments of which no rollout waits.
+    fn without_rollouts(&self) -> BTreeMap<ActorId, usize> {
+        let mut n_envs = BTreeMap::new();
+        if self.stage == RunStage::Running {
             for owner in self.queue.lacking().filter_map(|env_id| self.assigner.owner(env_id)) {
-                *lacking.entry(owner.key.0.clone()).or_default() += 1;
+                *n_envs.entry(owner.key.0.clone()).or_default() += 1;
             }
         }
-        lacking
-    }
-
-    /// Notes that an actor cannot restore the snapshots of some environments.
-    ///
-    /// The fault may be its own (another build, say), so an environment goes to one actor after the other. If none can
-    /// restore it the snapshot is given up. Its sender is cut off if two actors say so, and trusted less on the word of one.
-    pub fn cannot_restore(&mut self, key: &SenderKey, epoch: Epoch, envs: &[EnvId]) {
-        if self.roster.is_member(key) {
-            self.stragglers.restored(&key.0, epoch);
-        }
-        // Each once, and none of an assignment that is over: the answer is anybody's.
-        let envs = envs.iter().copied();
-        let envs: BTreeSet<EnvId> =
-            envs.filter(|&env_id| self.assigner.owns(key, epoch, env_id)).collect();
-        if self.stage == RunStage::Closing || envs.is_empty() {
-            return;
-        }
-        let mut counts = self.assigner.counts(self.roster.members());
-        let (mut moves, mut authors) = (Vec::new(), BTreeMap::new());
-        for env_id in envs {
-            let actor = key.0.clone();
-            self.tell(RunEvent::SnapshotRefused { actor, env_id });
-            // A member that may have no environments at present is not asked: its failure would prove nothing.
-            let doubters = self.queue.doubt(env_id, &key.0);
-            let n_doubters = doubters.len();
-            let (roster, stragglers) = (&self.roster, &self.stragglers);
-            let may_try = |other: &ActorId| {
-                !doubters.contains(other) && max_envs(roster, stragglers, other) > 0
-            };
-            let others = counts.iter_mut().filter(|(other, _)| may_try(other));
-            if let Some((other, n_held)) = others.min_by_key(|(_, n_held)| **n_held) {
-                *n_held += 1;
-                moves.push((env_id, (other.clone(), self.roster.members()[other])));
-                continue;
-            }
-            moves.push((env_id, key.clone()));
-            // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
-            if let Some(author) = self.give_up_snapshot(env_id).filter(|author| author != key) {
-                let most = authors.entry(author).or_insert((n_doubters, env_id));
-                *most = (*most).max((n_doubters, env_id));
-            }
-        }
-        let changes = self.assigner.hand_over(moves);
-        self.assign_all(changes);
-        for (author, (n_doubters, env_id)) in authors {
-            self.blame(&author, n_doubters, env_id);
-        }
-    }
-
-    /// Holds a snapshot that was given up against its sender.
-    fn blame(&mut self, author: &SenderKey, n_doubters: usize, env_id: EnvId) {
-        if n_doubters > 1 {
-            let reason = format!(
-                "nobody can restore the state that it sent of environment {env_id}: run the learner's build"
-            );
-            self.cut_off(author, reason);
-        } else if self.stragglers.fail(&author.0, 0) {
-            // The one who says so may be a stranger, or run another build.
-            self.rebalance_due = true;
-            self.tell(RunEvent::Distrusted { actor: author.0.clone(), reason: DOUBTED });
-        }
-    }
-
-    /// Goes back to the previous snapshot, or to a fresh episode, and returns the sender of the snapshot that is given up.
-    fn give_up_snapshot(&mut self, env_id: EnvId) -> Option<SenderKey> {
-        self.tell(RunEvent::SnapshotLost { env_id });
-        match self.queue.recover(env_id) {
-            Recovery::Redo(author) => {
-                // The rollout had been accepted. Counting it as refused is what keeps the books balanced.
-                self.books.refuse(RefusalCause::Snapshot, true);
-                self.books.steps_redone += u64::from(self.settings.spec.n_steps);
-                Some(author)
-            }
-            Recovery::FreshEpisode(author) => {
-                self.books.refuse(RefusalCause::FreshEpisode, false);
-                author
-            }
-        }
+        n_envs
     }
 
     /// Orders every actor to leave; environments move no more.
@@ -661,6 +600,11 @@ impl Coordinator {
     /// Returns where environments go on after a resume.
     pub fn places(&self) -> Vec<EnvAssignment> {
         self.queue.consumed()
+    }
+
+    /// Returns the environments of which rollouts were dropped between the trainer's state and those places.
+    pub fn passed_over(&self) -> &BTreeSet<EnvId> {
+        self.queue.passed_over()
     }
 
     /// Returns how many rollouts have been accepted and not yet trained on.
@@ -939,7 +883,7 @@ impl Coordinator {
             self.effects.push(Effect::Control { to: to.clone(), membership, control });
         }
         if n_snapshots > 0 {
-            self.stragglers.restores(&actor, epoch, n_snapshots);
+            self.stragglers.restores(&actor, epoch, n_snapshots, n_given + n_kept);
         }
         if let Some(sender) = self.roster.sender(&to) {
             sender.ordered = epoch;
@@ -982,11 +926,6 @@ impl Coordinator {
         let (learner, limit) = (self.settings.learner, sender.limit);
         Some(Credit { incarnation, learner, acknowledged, limit })
     }
-}
-
-/// Returns how many environments a member may have.
-fn max_envs(roster: &Roster, stragglers: &Stragglers, actor: &ActorId) -> usize {
-    if roster.has_answered(actor) { stragglers.max_envs(actor) } else { 0 }
 }
 
 #[cfg(test)]

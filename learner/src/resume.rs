@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use crate::books::Books;
 use crate::builds::Builds;
 use crate::checkpoint::{CheckpointStore, Loaded};
-use crate::coordinator::CoordinatorStart;
+use crate::coordinator::{Coordinator, CoordinatorStart};
 use crate::episodes::EpisodeWindow;
 use crate::held_out_record::HeldOutRecord;
 use crate::report::{RatedPolicy, RunEvent};
@@ -43,6 +43,33 @@ pub(crate) struct Checkpoint {
     /// Rollouts accepted and not trained on.
     pub(crate) waiting: u64,
     pub(crate) builds: Builds,
+}
+
+impl Checkpoint {
+    /// Takes a trainer's state after the last finished update, with how far the rest of the run is.
+    pub(crate) fn of(
+        coordinator: &Coordinator,
+        mut trainer: TrainerState,
+        identity: [u8; 32],
+        older: Vec<RatedPolicy>,
+        record: TrainingRecord,
+    ) -> Self {
+        // What was dropped since is told to the update under way, which is made again after a resume.
+        for &env_id in coordinator.passed_over() {
+            trainer.forget_episode(env_id);
+        }
+        Self {
+            identity,
+            trainer,
+            places: coordinator.places(),
+            epoch: coordinator.epoch(),
+            older,
+            record,
+            books: coordinator.books().clone(),
+            waiting: coordinator.n_pending(),
+            builds: coordinator.builds().clone(),
+        }
+    }
 }
 
 /// Where a run begins: its first update, or the one after its newest checkpoint.

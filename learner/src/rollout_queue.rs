@@ -103,6 +103,8 @@ pub struct RolloutQueue {
     n_arrived: u64,
     /// Those whose next rollout of a batch does not begin where the last one ended.
     broken_off: BTreeSet<EnvId>,
+    /// Those whose `consumed` has passed over dropped rollouts since the last update that is done.
+    passed_over: BTreeSet<EnvId>,
 }
 
 impl RolloutQueue {
@@ -116,7 +118,7 @@ impl RolloutQueue {
         let broken_off = places.iter().filter(|place| place.snapshot.is_empty());
         let broken_off = broken_off.map(|place| place.env_id).collect();
         let envs = places.into_iter().map(queue).collect();
-        Self { schedule, envs, n_arrived: 0, broken_off }
+        Self { schedule, envs, n_arrived: 0, broken_off, passed_over: BTreeSet::new() }
     }
 
     /// Returns the places of `n_envs` environments that have not begun.
@@ -223,6 +225,7 @@ impl RolloutQueue {
                 env.take();
                 env.commit();
                 self.broken_off.insert(EnvId(id));
+                self.passed_over.insert(EnvId(id));
                 n_dropped += 1;
             }
         }
@@ -233,6 +236,12 @@ impl RolloutQueue {
     /// between the two were dropped, or a fresh episode begins.
     pub fn take_broken_off(&mut self) -> BTreeSet<EnvId> {
         std::mem::take(&mut self.broken_off)
+    }
+
+    /// Returns the environments that go on after a resume behind rollouts that were dropped, of which the last update that is done
+    /// knew nothing.
+    pub fn passed_over(&self) -> &BTreeSet<EnvId> {
+        &self.passed_over
     }
 
     /// Takes the rollouts of the update that turns `version` into the next one, if they are all here, sorted by
@@ -271,6 +280,7 @@ impl RolloutQueue {
     /// Notes that the batch taken last is trained.
     pub fn commit(&mut self) {
         self.envs.iter_mut().for_each(EnvQueue::commit);
+        self.passed_over.clear();
     }
 }
 

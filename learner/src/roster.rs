@@ -42,7 +42,8 @@ pub(crate) struct SenderState {
     pub(crate) ordered: Epoch,
     /// How often it followed another one since its last rollout that counted.
     pub(crate) n_astray: u32,
-    /// Ticks since then, since it became a member, or since it was given its environments again because it asked.
+    /// Ticks in which it owed a rollout since then, since it became a member, or since it was given its environments again because
+    /// it asked.
     pub(crate) n_idle_ticks: u64,
     /// It has said hello since it was last lost.
     has_greeted: bool,
@@ -257,12 +258,12 @@ impl Roster {
         self.n_answering
     }
 
-    /// Notes that a tick has passed.
-    pub(crate) fn tick(&mut self) {
+    /// Notes that a tick has passed, in which these members owed a rollout.
+    pub(crate) fn tick(&mut self, owing: &BTreeSet<ActorId>) {
         for (actor, &incarnation) in &self.members {
             if let Some(sender) = self.senders.get_mut(&(actor.clone(), incarnation)) {
                 sender.n_quiet_ticks += 1;
-                sender.n_idle_ticks += 1;
+                sender.n_idle_ticks += u64::from(owing.contains(actor));
             }
         }
     }

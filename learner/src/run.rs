@@ -544,17 +544,10 @@ impl RunLoop {
             held_out: None,
             weights,
         });
-        let checkpoint = Checkpoint {
-            identity: self.config.identity,
-            trainer: self.state.clone(),
-            places: self.coordinator.places(),
-            epoch: self.coordinator.epoch(),
-            older: older.collect(),
-            record: self.record.clone(),
-            books: self.coordinator.books().clone(),
-            waiting: self.coordinator.n_pending(),
-            builds: self.coordinator.builds().clone(),
-        };
+        let (state, record) = (self.state.clone(), self.record.clone());
+        let identity = self.config.identity;
+        let checkpoint =
+            Checkpoint::of(&self.coordinator, state, identity, older.collect(), record);
         let (store, n_updates) = (&mut self.store, self.version.0);
         // Other tasks go on with other threads meanwhile: those that answer pulls and deliver orders.
         let write = || tokio::task::block_in_place(|| store.write(n_updates, &checkpoint));

@@ -7,7 +7,8 @@
 //!
 //! Restoring takes time, with environments in Python several seconds each. As long as a member has not answered the order with
 //! the snapshots, it is not late, up to [`RESTORE_TICKS`], which count from one rollout that it delivers to the next: whoever answers
-//! and has the same environments given again, delivers nothing and would hold up the run for ever.
+//! and has the same environments given again, delivers nothing and would hold up the run for ever. More environments than it ever had
+//! since then bring time of their own, for they come from a member that failed while this one restored.
 //!
 //! # Invariants
 //!
@@ -24,7 +25,8 @@ const REPORT_AFTER: u32 = 6;
 const REPORT_EVERY: u32 = 60;
 /// Ticks that a member may be behind the others before it loses its environments.
 const TAKE_AFTER: u32 = 12;
-/// Ticks that a member may take to restore a snapshot, and at most to restore all that it is given before it delivers something.
+/// Ticks that a member may take to restore a snapshot, and at most to restore all that it is given before it delivers something, what
+/// is added meanwhile apart.
 const RESTORE_TICKS: (u32, u32) = (16, 240);
 /// How many times as long as the others a member may take, where that is more.
 const PATIENCE: u32 = 3;
@@ -63,6 +65,10 @@ struct Wait {
     n_late_in_window: u32,
     /// Those in which it would have been late if it had not been restoring, as long as it has environments.
     n_excused: u32,
+    /// How many of those it may have beyond [`RESTORE_TICKS`]: for environments that were added to those that it had.
+    n_added: u32,
+    /// The most environments with which it was given snapshots in that time.
+    n_most: usize,
     has_delivered: bool,
     restoring: Option<Restoring>,
 }
@@ -123,22 +129,36 @@ impl Stragglers {
             let wait = self.waits.entry(actor.clone()).or_default();
             // Another number means other work, so patience begins anew.
             if wait.n_held != n_held {
+                let mut fresh = Wait { n_held, restoring: wait.restoring, ..Wait::default() };
                 // Not the time to restore, which it would have again for every one that it is given.
-                let n_excused = if n_held > 0 { wait.n_excused } else { 0 };
-                *wait = Wait { n_held, n_excused, restoring: wait.restoring, ..Wait::default() };
+                if n_held > 0 {
+                    let Wait { n_excused, n_added, n_most, .. } = *wait;
+                    fresh = Wait { n_excused, n_added, n_most, ..fresh };
+                }
+                *wait = fresh;
             }
         }
         self.start_window();
     }
 
-    /// Notes that a member is given snapshots, which it has to restore before it answers.
-    pub(crate) fn restores(&mut self, actor: &ActorId, epoch: Epoch, n_snapshots: usize) {
-        let n_snapshots = u32::try_from(n_snapshots).unwrap_or(u32::MAX);
+    /// Notes that a member, which has `n_held` environments now, is given snapshots that it has to restore before it answers.
+    pub(crate) fn restores(
+        &mut self,
+        actor: &ActorId,
+        epoch: Epoch,
+        n_snapshots: usize,
+        n_held: usize,
+    ) {
         let wait = self.waits.entry(actor.clone()).or_default();
+        if wait.n_most > 0 {
+            let n_added = restore_ticks(n_held.saturating_sub(wait.n_most));
+            wait.n_added = wait.n_added.saturating_add(n_added);
+        }
+        wait.n_most = wait.n_most.max(n_held);
         // What it was given before comes first.
         let before = wait.restoring.map_or(0, |restoring| restoring.ticks_left);
-        let ticks_left = n_snapshots.saturating_mul(RESTORE_TICKS.0).saturating_add(before);
-        let ticks_left = ticks_left.min(RESTORE_TICKS.1.saturating_sub(wait.n_excused));
+        let n_left = RESTORE_TICKS.1.saturating_add(wait.n_added).saturating_sub(wait.n_excused);
+        let ticks_left = restore_ticks(n_snapshots).saturating_add(before).min(n_left);
         wait.restoring = Some(Restoring { epoch, ticks_left });
     }
 
@@ -164,7 +184,8 @@ impl Stragglers {
     /// Notes that a member delivered a rollout.
     pub(crate) fn delivered(&mut self, actor: &ActorId) {
         if let Some(wait) = self.waits.get_mut(actor) {
-            (wait.n_waited, wait.n_late, wait.n_excused) = (0, 0, 0);
+            (wait.n_waited, wait.n_late) = (0, 0);
+            (wait.n_excused, wait.n_added, wait.n_most) = (0, 0, 0);
             wait.has_delivered = true;
         }
     }
@@ -300,6 +321,12 @@ impl Stragglers {
     }
 }
 
+/// Returns how long a member may take to restore so many snapshots, in ticks.
+fn restore_ticks(n_snapshots: usize) -> u32 {
+    let n_snapshots = u32::try_from(n_snapshots).unwrap_or(u32::MAX);
+    n_snapshots.saturating_mul(RESTORE_TICKS.0).min(RESTORE_TICKS.1)
+}
+
 fn back_off(n_failures: u32) -> u64 {
     // The cap keeps the shift below from overflowing; `MAX_BACK_OFF` is reached long before.
     let doublings = n_failures.saturating_sub(1).min(16);
@@ -359,7 +386,7 @@ mod tests {
         let lacking = counts(&[("slow", 4)]);
         let restoring = |n_snapshots| {
             let mut s = stragglers(&[("a", 4), ("slow", 4)]);
-            s.restores(&id("slow"), Epoch(3), n_snapshots);
+            s.restores(&id("slow"), Epoch(3), n_snapshots, n_snapshots);
             s
         };
         for (n_snapshots, n_ticks) in [(4, 4 * RESTORE_TICKS.0), (4_000, RESTORE_TICKS.1)] {
@@ -368,7 +395,7 @@ mod tests {
         }
         // What it is given meanwhile adds to that.
         let mut s = restoring(4);
-        s.restores(&id("slow"), Epoch(4), 1);
+        s.restores(&id("slow"), Epoch(4), 1, 5);
         let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
         assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
         // Once it has answered, it is compared with the others again.
@@ -395,40 +422,56 @@ mod tests {
     fn a_member_that_answers_and_delivers_nothing_has_its_time_to_restore_once() {
         let lacking = counts(&[("slow", 4)]);
         let most = RESTORE_TICKS.1 + TAKE_AFTER + 1;
-        let again = |s: &mut Stragglers, epoch: u32| {
+        let again = |s: &mut Stragglers, epoch: u32, n_held: usize| {
             s.restored(&id("slow"), Epoch(u64::from(epoch)));
-            s.restores(&id("slow"), Epoch(u64::from(epoch) + 1), 20);
+            s.restores(&id("slow"), Epoch(u64::from(epoch) + 1), 20, n_held);
         };
         let mut s = stragglers(&[("a", 4), ("slow", 4)]);
-        again(&mut s, 0);
+        again(&mut s, 0, 4);
         let found = ticks(&mut s, 1_000, |tick, s| {
             if tick.is_multiple_of(200) {
-                again(s, tick);
+                again(s, tick, 4);
             }
             lacking.clone()
         });
         assert_eq!(found, Some((most, id("slow"))));
-        // Nor do more environments bring more of it, until it has delivered something.
+        // One that is added brings its own, and none if it is taken away and comes back, until something is delivered.
         let mut s = stragglers(&[("a", 4), ("slow", 4)]);
-        again(&mut s, 0);
+        again(&mut s, 0, 4);
         let found = ticks(&mut s, 1_000, |tick, s| {
-            if tick == 200 {
-                s.assigned(&counts(&[("a", 3), ("slow", 5)]));
-                again(s, tick);
-            }
+            let n_held = match tick {
+                200 | 220 => 5,
+                210 => 4,
+                _ => return lacking.clone(),
+            };
+            s.assigned(&counts(&[("a", 8 - n_held), ("slow", n_held)]));
+            again(s, tick, n_held);
             lacking.clone()
         });
-        assert_eq!(found, Some((most, id("slow"))));
+        assert_eq!(found, Some((most + RESTORE_TICKS.0, id("slow"))));
         s.assigned(&counts(&[("a", 8), ("slow", 0)]));
         s.assigned(&counts(&[("a", 4), ("slow", 4)]));
         let mut delivered = stragglers(&[("a", 4), ("slow", 4)]);
-        again(&mut delivered, 0);
+        again(&mut delivered, 0, 4);
         assert_eq!(ticks(&mut delivered, 200, |_, _| lacking.clone()), None);
         delivered.delivered(&id("slow"));
         for mut s in [s, delivered] {
-            again(&mut s, 200);
+            again(&mut s, 200, 4);
             assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
         }
+    }
+
+    #[test]
+    fn what_another_ones_failure_adds_to_a_member_that_restored_all_its_time_brings_time() {
+        let lacking = counts(&[("slow", 15)]);
+        let mut s = stragglers(&[("a", 10), ("b", 5), ("slow", 15)]);
+        s.restores(&id("slow"), Epoch(1), 15, 15);
+        assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
+        s.restored(&id("slow"), Epoch(1));
+        s.restores(&id("slow"), Epoch(2), 5, 20);
+        s.assigned(&counts(&[("a", 10), ("slow", 20)]));
+        let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
+        assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
     }
 
     #[test]

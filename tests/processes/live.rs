@@ -3,88 +3,16 @@
 use std::fs;
 use std::time::{Duration, Instant};
 
-use leadtime_link::Error as LinkError;
-use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
-use leadtime_proto::Incarnation;
-use leadtime_serve::observation::{ObservationHead, write_json, write_raw};
+use leadtime_serve::observation::{write_json, write_raw};
 use leadtime_serve::{HeardSay, SayEvent};
 use serde_json::{Value, json};
-use tokio::runtime::Runtime;
 
-use crate::notifier::{coming_down, link, policy, port, question, serve};
+use crate::notifier::{Client, STEP, coming_down, policy, serve};
 use crate::support::{
     PATIENCE, PEER_LOST, Place, WRONG_INPUT, repository, signal, wait_for_words, wait_until,
 };
 
-/// How long a step takes, in seconds, where nothing depends on it.
-const STEP: f64 = 0.05;
-
-/// A client that does what a test wants.
-struct Client {
-    runtime: Runtime,
-    link: LiveClientLink,
-    port: ClientPort,
-    start: Incarnation,
-    began: Instant,
-    seq: u64,
-    /// What was sent under a number, and when.
-    sent: Vec<(u64, Instant)>,
-    says: Vec<(Instant, HeardSay)>,
-    statuses: Vec<Value>,
-}
-
 impl Client {
-    fn connect(place: &Place, name: &str, start: u64) -> Self {
-        let (runtime, link) = link(place);
-        let start = Incarnation(start);
-        let port = runtime.block_on(port(&link, name, start));
-        let began = Instant::now();
-        let (sent, says, statuses) = (Vec::new(), Vec::new(), Vec::new());
-        Self { runtime, link, port, start, began, seq: 0, sent, says, statuses }
-    }
-
-    /// Asks for a session; returns the answer, or the sentence that says no.
-    fn open(&self, more: &Value) -> Result<Value, String> {
-        let start = self.start.hex();
-        let own = json!({"seconds_per_step": STEP, "incarnation": start});
-        match self.runtime.block_on(self.port.ask(question(&[&own, more]))) {
-            Ok(answer) => Ok(serde_json::from_slice(&answer).unwrap()),
-            Err(LinkError::Rejected { reason, .. }) => Err(reason),
-            Err(error) => panic!("{error}"),
-        }
-    }
-
-    fn head(&mut self) -> ObservationHead {
-        self.seq += 1;
-        self.sent.push((self.seq, Instant::now()));
-        let t = self.began.elapsed().as_secs_f64();
-        ObservationHead { seq: self.seq, t, episode: 0, end: false }
-    }
-
-    /// Sends what a lander sees.
-    fn observe(&mut self) {
-        let values = coming_down(self.seq as f32);
-        let head = self.head();
-        self.port.observe(&write_json(&head, &values)).unwrap();
-    }
-
-    /// Takes what is told for a while.
-    fn listen(&mut self, time: Duration) {
-        let deadline = Instant::now() + time;
-        while let Some(message) = self.port.next(deadline.saturating_duration_since(Instant::now()))
-        {
-            match message {
-                LiveMessage::Say(bytes) => {
-                    self.says.push((Instant::now(), HeardSay::read(&bytes).expect("an event")));
-                }
-                LiveMessage::Status(bytes) => {
-                    self.statuses.push(serde_json::from_slice(&bytes).expect("a status"));
-                }
-                LiveMessage::ServiceHere(_) | LiveMessage::ServiceGone(_) => {}
-            }
-        }
-    }
-
     /// Sends observations at 50 Hz for a while, and takes what is told.
     fn watch(&mut self, time: Duration) {
         let deadline = Instant::now() + time;
@@ -100,22 +28,6 @@ impl Client {
         let says = |status: &Value| status[key].as_str().is_some_and(|text| text.contains(words));
         let is_told = |client: &Self| client.statuses.iter().any(says);
         self.act_until(words, is_told, |client| client.listen(Duration::from_millis(20)));
-    }
-
-    /// Does something again and again until something holds.
-    #[track_caller]
-    fn act_until(
-        &mut self,
-        what: &str,
-        holds: impl Fn(&Self) -> bool,
-        mut act: impl FnMut(&mut Self),
-    ) {
-        let deadline = Instant::now() + PATIENCE;
-        while !holds(self) {
-            let last = self.statuses.last();
-            assert!(Instant::now() < deadline, "in vain: {what}; the last status: {last:?}");
-            act(self);
-        }
     }
 
     /// Returns whether the last status has this state.

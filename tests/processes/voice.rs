@@ -4,13 +4,9 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::time::{Duration, Instant};
 
-use leadtime_link::live::{ClientPort, LiveClientLink, LiveMessage};
-use leadtime_proto::Incarnation;
-use leadtime_serve::observation::{ObservationHead, write_json};
 use serde_json::{Value, json};
-use tokio::runtime::Runtime;
 
-use crate::notifier::{link, policy, port, question};
+use crate::notifier::{Client, policy};
 use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words, wait_until};
 
 /// Samples per second of the shipped sound.
@@ -25,68 +21,30 @@ fn serve(place: &Place, options: &[&str]) -> Running {
     notifier
 }
 
-/// A client that comes down beside the pad, and hears what is said.
-struct Listener {
-    _runtime: Runtime,
-    _link: LiveClientLink,
-    port: ClientPort,
-    answer: Value,
-    began: Instant,
-    seq: u64,
-    says: Vec<Value>,
-    statuses: Vec<Value>,
+/// Connects a client that comes down beside the pad and hears what is said; returns the answer to its question, too.
+fn listen_to(place: &Place, more: &Value) -> (Client, Value) {
+    let mut client = Client::connect(place, "car-1", 1);
+    // Sentences take the time of the voice, and not of steps of another length.
+    client.own = json!({});
+    let answer = client.open(more).unwrap();
+    (client, answer)
 }
 
-impl Listener {
-    fn open(place: &Place, more: &Value) -> Self {
-        let (runtime, link) = link(place);
-        let (port, answer) = runtime.block_on(async {
-            let port = port(&link, "car-1", Incarnation(1)).await;
-            let answer = port.ask(question(&[more])).await.unwrap();
-            (port, serde_json::from_slice(&answer).unwrap())
-        });
-        let (says, statuses) = (Vec::new(), Vec::new());
-        let began = Instant::now();
-        Self { _runtime: runtime, _link: link, port, answer, began, seq: 0, says, statuses }
-    }
-
+impl Client {
     /// Sends an observation, and takes what is told within 20 ms.
     fn step(&mut self, end: bool) {
-        self.seq += 1;
-        let t = self.began.elapsed().as_secs_f64();
-        let y = (1.4 - t as f32 / 8.0).max(0.0);
-        let head = ObservationHead { seq: self.seq, t, episode: 0, end };
-        let observation = [0.4 * (3.0 * t as f32).sin(), y, 0.0, -0.2, 0.0, 0.0, 0.0, 0.0];
-        self.port.observe(&write_json(&head, &observation)).unwrap();
-        let deadline = Instant::now() + Duration::from_millis(20);
-        while let Some(message) = self.port.next(deadline.saturating_duration_since(Instant::now()))
-        {
-            match message {
-                LiveMessage::Say(bytes) => self.says.push(serde_json::from_slice(&bytes).unwrap()),
-                LiveMessage::Status(bytes) => {
-                    self.statuses.push(serde_json::from_slice(&bytes).unwrap());
-                }
-                LiveMessage::ServiceHere(_) | LiveMessage::ServiceGone(_) => {}
-            }
-        }
+        self.put(end);
+        self.listen(Duration::from_millis(20));
     }
 
     /// Sends observations until something holds.
     #[track_caller]
-    fn until(&mut self, what: &str, mut holds: impl FnMut(&Self) -> bool) {
-        let deadline = Instant::now() + PATIENCE;
-        while !holds(self) {
-            assert!(
-                Instant::now() < deadline,
-                "waited in vain: {what}; {:?}",
-                self.statuses.last()
-            );
-            self.step(false);
-        }
+    fn until(&mut self, what: &str, holds: impl Fn(&Self) -> bool) {
+        self.act_until(what, holds, |client| client.step(false));
     }
 
     fn last(&self, event: &str) -> Option<&Value> {
-        self.says.iter().rev().find(|say| say["event"] == event)
+        self.written.iter().rev().find(|say| say["event"] == event)
     }
 }
 
@@ -102,8 +60,8 @@ fn what_is_said_is_played_and_a_cut_is_silent_within_80_ms() {
     let place = Place::new();
     let file = place.file("heard");
     let _notifier = serve(&place, &[&format!("--play=cat > {file}")]);
-    let mut listener = Listener::open(&place, &json!({"lost_after": 30, "stale_after": 30}));
-    let voice = listener.answer["voice"].clone();
+    let (mut listener, answer) = listen_to(&place, &json!({"lost_after": 30, "stale_after": 30}));
+    let voice = &answer["voice"];
     assert_eq!(
         (&voice["name"], &voice["rate"], &voice["estimated"]),
         (&json!("shipped"), &json!(RATE), &json!(0))
@@ -122,7 +80,7 @@ fn what_is_said_is_played_and_a_cut_is_silent_within_80_ms() {
     listener.until("it is played", |_| heard(&file).1 > RATE / 50);
     // In the middle of it the episode ends.
     listener.until("an utterance has just started", |it| {
-        it.says.last().is_some_and(|say| say["event"] == "start")
+        it.written.last().is_some_and(|say| say["event"] == "start")
     });
     let deadline = Instant::now() + PATIENCE;
     while listener
@@ -146,12 +104,12 @@ fn what_is_said_is_played_and_a_cut_is_silent_within_80_ms() {
 fn a_loudspeaker_that_is_gone_is_told_and_what_is_said_goes_on_in_text() {
     let place = Place::new();
     let notifier = serve(&place, &["--play=head -c 20000 > /dev/null"]);
-    let mut listener = Listener::open(&place, &json!({}));
+    let (mut listener, _) = listen_to(&place, &json!({}));
     listener.until("it is mute", |it| it.statuses.last().is_some_and(|it| it["state"] == "mute"));
     let why = "the loudspeaker is gone; what is said goes on in text";
     assert_eq!(listener.statuses.last().unwrap()["why"], why);
-    let n = listener.says.len();
-    listener.until("it goes on", |it| it.says.len() > n + 3);
+    let n = listener.written.len();
+    listener.until("it goes on", |it| it.written.len() > n + 3);
     assert!(notifier.stderr().contains("is gone"), "{}", notifier.stderr());
 }
 
@@ -198,8 +156,8 @@ fn a_helper_that_ends_or_talks_rubbish_gives_estimated_times() {
             told.contains("sentences have no sound, and times in proportion to their letters"),
             "{told}"
         );
-        let mut listener = Listener::open(&place, &json!({}));
-        let voice = listener.answer["voice"].clone();
+        let (mut listener, answer) = listen_to(&place, &json!({}));
+        let voice = &answer["voice"];
         assert_eq!(
             (&voice["estimated"], &voice["rate"]),
             (&voice["sentences"], &json!(0)),
@@ -259,7 +217,7 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
     mute.saying(&["--voice text speaks nothing anew: use flite[:VOICE], espeak or pipe:COMMAND"]);
     assert!(!place.path().join("other").exists());
     let _notifier = serve(&place, &["--voice", "recorded:spoken"]);
-    let mut listener = Listener::open(&place, &json!({}));
+    let (mut listener, _) = listen_to(&place, &json!({}));
     listener.until("something is said", |it| it.last("start").is_some());
     let say = listener.last("start").unwrap();
     let n = say["words"].as_array().unwrap().len();
@@ -299,9 +257,9 @@ fn what_is_said_in_the_time_of_a_voice_is_replayed_exactly() {
         let notifier = serve(&place, &[]);
         let recorder = place.start(&["record -o r.mcap --connect", &place.endpoint("n")]);
         wait_for_words(&recorder, "recording notifier");
-        let mut listener = Listener::open(&place, &json!({"clock": clock}));
+        let (mut listener, _) = listen_to(&place, &json!({"clock": clock}));
         listener.until("sentences end", |it| {
-            it.says.iter().filter(|say| say["event"] == "end").count() > 2
+            it.written.iter().filter(|say| say["event"] == "end").count() > 2
         });
         signal("INT", recorder.id());
         recorder.finish(PATIENCE).with_code(0);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use leadtime_policy::{ObservationNormalizer, Parameters};
-use leadtime_proto::{PolicyVersion, packed};
+use leadtime_proto::{EnvId, PolicyVersion, packed};
 use serde::{Deserialize, Serialize};
 
 use crate::TrainError;
@@ -39,6 +39,11 @@ impl TrainerState {
     /// Returns the version of the policy in it.
     pub fn version(&self) -> PolicyVersion {
         self.version
+    }
+
+    /// Notes the same as [`Trainer::forget_episode`], for a trainer that goes on from here.
+    pub fn forget_episode(&mut self, env_id: EnvId) {
+        self.rewards.forget(env_id);
     }
 }
 

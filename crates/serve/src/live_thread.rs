@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use leadtime_link::live::LivePort;
+use leadtime_link::live::{LivePort, LiveTopic};
 use leadtime_proto::{ClientName, Incarnation};
 use leadtime_voice::{Loudspeaker, SpokenSentence};
 use tracing::debug;
@@ -167,7 +167,7 @@ impl SayTo for ToPort<'_> {
     fn say(&mut self, bytes: &[u8]) {
         self.taken.count_said();
         if let Some(writer) = &mut self.writer {
-            writer.say(self.port, bytes, self.clock.now());
+            writer.put(self.port, LiveTopic::Say, bytes, self.clock.now());
         }
         if let Err(error) = self.port.say(bytes) {
             debug!(%error, "an event could not be put");
@@ -176,7 +176,7 @@ impl SayTo for ToPort<'_> {
 
     fn status(&mut self, bytes: &[u8]) {
         if let Some(writer) = &mut self.writer {
-            writer.status(self.port, bytes, self.clock.now());
+            writer.put(self.port, LiveTopic::Status, bytes, self.clock.now());
         }
         if let Err(error) = self.port.status(bytes) {
             debug!(%error, "a status could not be put");

@@ -7,6 +7,7 @@ use crate::stragglers::BACK_OFF;
 
 use super::*;
 
+mod checkpoints;
 mod strangers;
 
 const WINDOW: u32 = 4;
@@ -901,6 +902,8 @@ fn a_member_that_lost_its_environments_gets_them_again_when_it_asks() {
     let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
     c.take_effects();
     send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    c.next_batch().unwrap();
+    c.trained(PolicyVersion(1));
     (0..IDLE_TICKS - 1).for_each(|_| c.tick());
     c.hello(&hello("a", 1, 2)).unwrap();
     assert!(assignments(&mut c).is_empty(), "it has delivered something a moment ago");
@@ -924,4 +927,29 @@ fn a_member_that_lost_its_environments_gets_them_again_when_it_asks() {
     c.tick();
     c.hello(&hello("a", 1, 2)).unwrap();
     assert_eq!(assignments(&mut c).len(), 1);
+}
+
+#[test]
+fn a_member_that_has_nothing_to_do_has_not_lost_its_environments() {
+    let asks = |c: &mut Coordinator| {
+        (0..IDLE_TICKS).for_each(|_| c.tick());
+        c.hello(&hello("a", 1, 2)).unwrap();
+        assignments(c).len()
+    };
+    let mut c = coordinator(1, Schedule::Lag(0), &["a"]);
+    c.take_effects();
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    assert_eq!(asks(&mut c), 0, "what it has made waits");
+    c.next_batch().unwrap();
+    assert_eq!(asks(&mut c), 0, "the update takes long");
+    c.trained(PolicyVersion(1));
+    c.hello(&hello("a", 1, 2)).unwrap();
+    assert!(assignments(&mut c).is_empty(), "said before it could have the new weights");
+    assert_eq!(asks(&mut c), 1);
+    // In `async` it waits for no weights, and there may always be an update under way.
+    let mut c = coordinator(1, Schedule::Async { staleness_max: 8 }, &["a"]);
+    c.take_effects();
+    send(&mut c, "a", 1, 1, &rollout(0, 0, 0));
+    c.next_batch().unwrap();
+    assert_eq!(asks(&mut c), 1);
 }

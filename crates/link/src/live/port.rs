@@ -230,21 +230,17 @@ impl LivePort {
         observed.put(bytes).wait().map_err(Error::network("publish on", observed.key_expr()))
     }
 
-    /// Puts an event on the robot's own key, if it has one, with bytes beside it.
+    /// Puts an event ([`LiveTopic::Say`]) or a status on the robot's own key for it, if it has one, with bytes beside it.
     ///
     /// # Errors
     ///
     /// [`Error::Network`] if the network has ended.
-    pub fn say_to_robot(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        self.robot.as_ref().map_or(Ok(()), |robot| robot.say(bytes, beside))
-    }
-
-    /// Puts a status on the robot's own key, if it has one, with bytes beside it.
-    ///
-    /// # Errors
-    ///
-    /// [`Error::Network`] if the network has ended.
-    pub fn status_to_robot(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        self.robot.as_ref().map_or(Ok(()), |robot| robot.status(bytes, beside))
+    pub fn put_to_robot(
+        &self,
+        topic: LiveTopic,
+        bytes: &[u8],
+        beside: Option<&[u8]>,
+    ) -> Result<()> {
+        self.robot.as_ref().map_or(Ok(()), |robot| robot.put(topic, bytes, beside))
     }
 }

@@ -9,6 +9,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Publisher;
 use zenoh::session::Session;
 
+use super::keys::LiveTopic;
 use crate::pubsub::{appear, publisher};
 use crate::{Error, Result, wire};
 
@@ -81,19 +82,17 @@ impl RobotPort {
         })
     }
 
-    pub(super) fn say(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        put(self.say.as_ref(), bytes, beside)
+    /// Puts what is said, or a status, on the robot's key for it, if there is one.
+    pub(super) fn put(&self, topic: LiveTopic, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
+        let to = match topic {
+            LiveTopic::Say => &self.say,
+            LiveTopic::Status => &self.status,
+            _ => return Ok(()),
+        };
+        let Some(to) = to else { return Ok(()) };
+        let put = to.put(bytes).attachment(beside).wait();
+        put.map_err(Error::network("publish on", to.key_expr()))
     }
-
-    pub(super) fn status(&self, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-        put(self.status.as_ref(), bytes, beside)
-    }
-}
-
-fn put(to: Option<&Publisher<'static>>, bytes: &[u8], beside: Option<&[u8]>) -> Result<()> {
-    let Some(to) = to else { return Ok(()) };
-    let put = to.put(bytes).attachment(beside).wait();
-    put.map_err(Error::network("publish on", to.key_expr()))
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! Publishes on a robot's own key what is said to it.
 
-use leadtime_link::live::LivePort;
+use leadtime_link::live::{LivePort, LiveTopic};
 use tracing::debug;
 
 use crate::robot::cdr;
@@ -51,25 +51,11 @@ impl RobotWriter {
         Self { epoch: self.epoch.saturating_sub(now), ..self }
     }
 
-    /// Publishes an event of what is said, at `now`, in nanoseconds of the notifier's own clock.
-    pub(crate) fn say(&mut self, port: &LivePort, event: &[u8], now: u64) {
-        self.put(0, event, now, |bytes, beside| port.say_to_robot(bytes, beside));
-    }
-
-    /// Puts a status, for the robot and whoever else reads its key.
-    pub(crate) fn status(&mut self, port: &LivePort, status: &[u8], now: u64) {
-        self.put(1, status, now, |bytes, beside| port.status_to_robot(bytes, beside));
-    }
-
-    fn put(
-        &mut self,
-        topic: usize,
-        text: &[u8],
-        now: u64,
-        put: impl FnOnce(&[u8], Option<&[u8]>) -> leadtime_link::Result<()>,
-    ) {
+    /// Puts an event of what is said, or a status, at `now`, in nanoseconds of the notifier's own clock. A status is for the robot
+    /// and whoever else reads its key.
+    pub(crate) fn put(&mut self, port: &LivePort, topic: LiveTopic, text: &[u8], now: u64) {
         let beside = self.marks.as_mut().map(|marks| {
-            let mark = &mut marks[topic];
+            let mark = &mut marks[usize::from(topic == LiveTopic::Status)];
             mark.number += 1;
             mark.time = self.epoch.saturating_add(i64::try_from(now).unwrap_or(i64::MAX));
             mark.write()
@@ -80,7 +66,8 @@ impl RobotWriter {
         } else {
             text
         };
-        if let Err(error) = put(bytes, beside.as_ref().map(<[u8; _]>::as_slice)) {
+        let beside = beside.as_ref().map(<[u8; _]>::as_slice);
+        if let Err(error) = port.put_to_robot(topic, bytes, beside) {
             debug!(%error, "nothing can be put on the robot's key");
         }
     }

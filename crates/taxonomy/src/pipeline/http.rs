@@ -3,7 +3,7 @@
 //! Only fields that llama.cpp's server, vLLM and Ollama all understand are sent: model, messages, temperature,
 //! `top_p`, seed, `max_tokens`, stream. What a server says besides text, reason of ending and token counts is ignored.
 //!
-//! A server that is slow, busy (429, 5xx) or cuts its answer short is asked again after 1, 2, 4 and 8 seconds; any
+//! A server that is slow, busy (429, 5xx) or cuts its answer short is asked again, each time after twice as long; any
 //! other refusal ends the run, because waiting would not help.
 
 use std::time::Duration;
@@ -24,7 +24,7 @@ const SHOWN: usize = 200;
 /// Where a model is, and how patient one is with it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct HttpSettings {
-    /// Base of the API: `http://127.0.0.1:8080/v1`.
+    /// Base of the API: `http://127.0.0.1:8080/v1`, with or without a slash at its end.
     pub url: String,
     /// Model, as the server names it.
     pub model: String,
@@ -38,21 +38,6 @@ pub struct HttpSettings {
     pub tries: u32,
     /// Wait before the second try; doubles with each further one.
     pub backoff: Duration,
-}
-
-impl HttpSettings {
-    /// Takes the usual patience: two minutes an answer, five tries, waits of 1, 2, 4 and 8 seconds.
-    pub fn new(url: &str, model: &str) -> Self {
-        Self {
-            url: url.trim_end_matches('/').to_owned(),
-            model: model.to_owned(),
-            api_key: None,
-            fidelity: Fidelity::Local,
-            timeout: Duration::from_mins(2),
-            tries: 5,
-            backoff: Duration::from_secs(1),
-        }
-    }
 }
 
 /// A model behind HTTP.
@@ -95,7 +80,9 @@ impl Http {
     /// # Errors
     ///
     /// [`PipelineError::Unusable`] if the address is no web address or the patience impossible.
-    pub fn new(settings: HttpSettings) -> Result<Self, PipelineError> {
+    pub fn new(mut settings: HttpSettings) -> Result<Self, PipelineError> {
+        // First of all: what a database names as its generator has no slash at its end.
+        settings.url.truncate(settings.url.trim_end_matches('/').len());
         let tls = cfg!(feature = "https");
         let schemes: &[&str] = if tls { &["http://", "https://"] } else { &["http://"] };
         if !schemes.iter().any(|scheme| settings.url.starts_with(scheme)) {

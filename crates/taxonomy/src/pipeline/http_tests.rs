@@ -21,11 +21,14 @@ fn small_plan() -> DatabasePlan {
 
 fn impatient(url: &str) -> HttpSettings {
     HttpSettings {
+        url: url.to_owned(),
+        model: "test-model".to_owned(),
+        api_key: Some("secret".to_owned()),
+        fidelity: Fidelity::Local,
         // Long enough for a busy machine: an answer that comes too late would be paid twice.
         timeout: Duration::from_secs(2),
+        tries: 5,
         backoff: Duration::from_millis(2),
-        api_key: Some("secret".to_owned()),
-        ..HttpSettings::new(url, "test-model")
     }
 }
 
@@ -97,6 +100,8 @@ fn nobody_there_is_said_in_one_sentence() {
 
 #[test]
 fn an_address_that_cannot_be_is_named() {
-    let error = Http::new(HttpSettings::new("localhost:8080", "m")).unwrap_err().to_string();
+    let error = Http::new(impatient("localhost:8080")).unwrap_err().to_string();
     assert!(error.starts_with("--url is localhost:8080; allowed: http://"), "{error}");
+    let model = Http::new(impatient("http://localhost:8080/v1/")).unwrap();
+    assert_eq!(model.id, "test-model at http://localhost:8080/v1");
 }

@@ -36,17 +36,22 @@ pub(super) fn backend(args: &BackendArgs) -> Result<Backend, Failure> {
 
 fn http_settings(args: &BackendArgs) -> Result<HttpSettings, Failure> {
     let text = |value: &Option<String>| value.clone().unwrap_or_default();
-    let mut settings = HttpSettings::new(&text(&args.url), &text(&args.model));
-    if let Some(variable) = &args.api_key_env {
+    let key = |variable: &String| {
         let missing = |error| Failure::input(format!("--api-key-env {variable}: {error}"));
-        settings.api_key = Some(env::var(variable).map_err(missing)?);
-    }
-    settings.fidelity = match args.fidelity.unwrap_or_default() {
-        Claim::Paper => Fidelity::Paper,
-        Claim::Local => Fidelity::Local,
+        env::var(variable).map_err(missing)
     };
-    (settings.timeout, settings.tries, settings.backoff) = (args.timeout, args.tries, args.backoff);
-    Ok(settings)
+    Ok(HttpSettings {
+        url: text(&args.url),
+        model: text(&args.model),
+        api_key: args.api_key_env.as_ref().map(key).transpose()?,
+        fidelity: match args.fidelity.unwrap_or_default() {
+            Claim::Paper => Fidelity::Paper,
+            Claim::Local => Fidelity::Local,
+        },
+        timeout: args.timeout,
+        tries: args.tries,
+        backoff: args.backoff,
+    })
 }
 
 /// Returns the embedder that compares sentences, if one is named.
