@@ -136,6 +136,7 @@ impl LearnerStatus {
         numbers.set(Metric::EnvironmentsWaiting, health.n_envs_waiting as f64);
         numbers.set(Metric::QueuedRollouts, health.n_queued as f64);
         numbers.set(Metric::QueuedBytes, health.queued_bytes as f64);
+        numbers.set(Metric::Unsaved, health.unsaved.unwrap_or_default().as_secs_f64());
         // Not with the updates: a run whose actors are all refused makes none.
         let before = self.refused_before.get_or_insert_with(|| health.refusals.clone());
         let refused = |cause: &RefusalCause| {
@@ -274,8 +275,7 @@ impl WaitWindow {
 mod tests {
     use super::*;
 
-    #[tokio::test]
-    async fn refusals_are_told_without_an_update_and_not_again_after_a_resume() {
+    async fn served() -> LearnerStatus {
         let server = StatusServer::bind("127.0.0.1:0".parse().unwrap()).await.unwrap();
         let facts = LearnerFacts {
             run: "r".to_owned(),
@@ -283,7 +283,23 @@ mod tests {
             checkpoint_interval: Duration::from_secs(30),
             certificate: None,
         };
-        let mut status = LearnerStatus::serve(server, facts);
+        LearnerStatus::serve(server, facts)
+    }
+
+    #[tokio::test]
+    async fn what_cannot_be_saved_is_told_while_updates_wait_for_it_as_well() {
+        let mut status = served().await;
+        for (seconds, told) in [(None, 0.0), (Some(90), 90.0), (None, 0.0)] {
+            let unsaved = seconds.map(Duration::from_secs);
+            let is_paused = unsaved.is_some();
+            status.tick(&RunHealth { unsaved, is_paused, ..RunHealth::default() });
+            assert_eq!(status.shared.numbers.get(Metric::Unsaved, 0), told);
+        }
+    }
+
+    #[tokio::test]
+    async fn refusals_are_told_without_an_update_and_not_again_after_a_resume() {
+        let mut status = served().await;
         let health = |n| RunHealth {
             refusals: BTreeMap::from([(RefusalCause::Protocol, n)]),
             ..RunHealth::default()

@@ -112,6 +112,7 @@ metrics! {
     LinesDropped = "lines_dropped" Counter MetricLabel::None, Learner, "lines of metrics.jsonl, event files and policy files that could not be written";
     CheckpointAge = "checkpoint_age_seconds" Gauge MetricLabel::None, Learner, "time since the last checkpoint was written, or since the start";
     CheckpointInterval = "checkpoint_interval_seconds" Gauge MetricLabel::None, Learner, "the configured time between checkpoints";
+    Unsaved = "unsaved_seconds" Gauge MetricLabel::None, Learner, "for how long no checkpoint could be written; 0 while all is well";
     DiskFree = "disk_free_bytes" Gauge MetricLabel::None, Learner, "bytes free on the disk of the run directory";
     DiskSize = "disk_size_bytes" Gauge MetricLabel::None, Learner, "bytes that the disk of the run directory holds";
     ActorSteps = "actor_steps" Counter MetricLabel::None, Actor, "environment steps simulated";
