@@ -1,12 +1,12 @@
 //! A learner's status: fed by what its run reports, read on request.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use leadtime_learner::{RunEvent, RunHealth, UpdateProgress};
+use leadtime_learner::{Books, RunEvent, RunHealth, UpdateProgress};
 use leadtime_proto::RefusalCause;
 use tokio_util::sync::DropGuard;
 
@@ -39,10 +39,18 @@ pub struct LearnerFacts {
 pub struct LearnerStatus {
     shared: Arc<LearnerPage>,
     window: WaitWindow,
-    /// What had been refused before this process; `None` before the first tick. A resumed run's books hold a little less than
-    /// the last scrape before, which Prometheus would take for as many new refusals as they hold.
-    refused_before: Option<BTreeMap<RefusalCause, u64>>,
+    before: CountsBefore,
     _served: DropGuard,
+}
+
+/// What the run had counted before this process, which its counters leave out: a checkpoint holds a little less than the
+/// last scrape before, and Prometheus would take that for a counter that began anew and counted all of it.
+#[derive(Debug, Default)]
+struct CountsBefore {
+    n_steps: u64,
+    n_updates: u64,
+    n_episodes: u64,
+    books: Books,
 }
 
 #[derive(Debug)]
@@ -83,7 +91,8 @@ impl LearnerStatus {
             facts,
         });
         let served = server.serve(Arc::clone(&shared) as Arc<dyn StatusSource>);
-        Self { shared, window: WaitWindow::new(start), refused_before: None, _served: served }
+        let (window, before) = (WaitWindow::new(start), CountsBefore::default());
+        Self { shared, window, before, _served: served }
     }
 
     /// Takes in an update.
@@ -91,19 +100,7 @@ impl LearnerStatus {
         let shared = &self.shared;
         let numbers = &shared.numbers;
         let UpdateProgress { update, episodes, phases, books, n_queued, .. } = progress;
-        numbers.set(Metric::Steps, progress.n_steps as f64);
-        numbers.set(Metric::Updates, progress.n_updates as f64);
-        numbers.set(Metric::Episodes, episodes.n_finished as f64);
-        let entries = [
-            books.published,
-            books.trained,
-            books.dropped_stale,
-            books.refused,
-            books.superseded,
-            books.rolled_back,
-            books.duplicates,
-        ];
-        numbers.set_all(Metric::Books, entries.map(|n| n as f64));
+        self.count(progress.n_steps, progress.n_updates, episodes.n_finished, books);
         for (&staleness, &n) in &update.staleness {
             numbers.observe_staleness(staleness, n);
         }
@@ -128,8 +125,27 @@ impl LearnerStatus {
         shared.last_update.note();
     }
 
+    /// Tells what the run has counted over all its starts, and what of it in this process.
+    fn count(&self, n_steps: u64, n_updates: u64, n_episodes: u64, books: &Books) {
+        self.tell_progress(n_steps, n_updates, n_episodes);
+        let (numbers, before) = (&self.shared.numbers, &self.before);
+        numbers.set(Metric::Steps, since(n_steps, before.n_steps));
+        numbers.set(Metric::Updates, since(n_updates, before.n_updates));
+        numbers.set(Metric::Episodes, since(n_episodes, before.n_episodes));
+        let entries = entries_of(books).into_iter().zip(entries_of(&before.books));
+        numbers.set_all(Metric::Books, entries.map(|(now, then)| since(now, then)));
+    }
+
+    /// Tells how far the run is, over all its starts.
+    fn tell_progress(&self, n_steps: u64, n_updates: u64, n_episodes: u64) {
+        let numbers = &self.shared.numbers;
+        numbers.set(Metric::RunSteps, n_steps as f64);
+        numbers.set(Metric::RunUpdates, n_updates as f64);
+        numbers.set(Metric::RunEpisodes, n_episodes as f64);
+    }
+
     /// Takes in how the run stands.
-    pub fn tick(&mut self, health: &RunHealth) {
+    pub fn tick(&self, health: &RunHealth) {
         let LearnerPage { numbers, liveness, .. } = &*self.shared;
         liveness.tick();
         numbers.set(Metric::Actors, health.n_actors as f64);
@@ -138,11 +154,11 @@ impl LearnerStatus {
         numbers.set(Metric::QueuedBytes, health.queued_bytes as f64);
         numbers.set(Metric::Unsaved, health.unsaved.unwrap_or_default().as_secs_f64());
         // Not with the updates: a run whose actors are all refused makes none.
-        let before = self.refused_before.get_or_insert_with(|| health.refusals.clone());
+        let before = &self.before.books.refusals;
         let refused = |cause: &RefusalCause| {
-            let n_before = before.get(cause).copied().unwrap_or(0);
-            let n_all = health.refusals.get(cause).copied().unwrap_or(0);
-            n_all.saturating_sub(n_before) as f64
+            let [n_now, n_then] =
+                [&health.refusals, before].map(|counts| counts.get(cause).copied().unwrap_or(0));
+            since(n_now, n_then)
         };
         numbers.set_all(Metric::Refusals, RefusalCause::ALL.iter().map(refused));
         self.shared.n_actors.store(health.n_actors as u64, Ordering::Relaxed);
@@ -151,8 +167,14 @@ impl LearnerStatus {
     }
 
     /// Takes in what happened.
-    pub fn event(&self, event: &RunEvent) {
+    pub fn event(&mut self, event: &RunEvent) {
         match event {
+            RunEvent::Resumed { n_steps, n_updates, n_episodes, books, .. } => {
+                let (n_steps, n_updates, n_episodes) = (*n_steps, *n_updates, *n_episodes);
+                self.tell_progress(n_steps, n_updates, n_episodes);
+                let books = books.clone();
+                self.before = CountsBefore { n_steps, n_updates, n_episodes, books };
+            }
             RunEvent::Listening { .. } => self.shared.is_listening.store(true, Ordering::Relaxed),
             RunEvent::CheckpointWritten { .. } => self.shared.last_checkpoint.note(),
             _ => {}
@@ -163,6 +185,24 @@ impl LearnerStatus {
     pub fn dropped(&self) {
         self.shared.numbers.add(Metric::LinesDropped, 0, 1.0);
     }
+}
+
+/// Returns what was counted since then.
+fn since(now: u64, then: u64) -> f64 {
+    now.saturating_sub(then) as f64
+}
+
+/// Returns the entries of the books, in the order of their label's values.
+fn entries_of(books: &Books) -> [u64; 7] {
+    [
+        books.published,
+        books.trained,
+        books.dropped_stale,
+        books.refused,
+        books.superseded,
+        books.rolled_back,
+        books.duplicates,
+    ]
 }
 
 impl Drop for LearnerStatus {
@@ -273,6 +313,8 @@ impl WaitWindow {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
 
     async fn served() -> LearnerStatus {
@@ -288,7 +330,7 @@ mod tests {
 
     #[tokio::test]
     async fn what_cannot_be_saved_is_told_while_updates_wait_for_it_as_well() {
-        let mut status = served().await;
+        let status = served().await;
         for (seconds, told) in [(None, 0.0), (Some(90), 90.0), (None, 0.0)] {
             let unsaved = seconds.map(Duration::from_secs);
             let is_paused = unsaved.is_some();
@@ -297,9 +339,41 @@ mod tests {
         }
     }
 
+    fn resumed(books: Books) -> RunEvent {
+        let (path, n_updates, n_steps, n_episodes) = (PathBuf::new(), 990, 9_900, 99);
+        RunEvent::Resumed { path, n_updates, n_steps, n_episodes, books }
+    }
+
+    #[tokio::test]
+    async fn a_learner_that_resumes_counts_from_its_start_and_tells_how_far_the_run_is() {
+        let mut status = served().await;
+        let told = |status: &LearnerStatus, metric| status.shared.numbers.get(metric, 0);
+        let mut books = Books::default();
+        books.published = 70;
+        status.event(&resumed(books.clone()));
+        assert_eq!(told(&status, Metric::RunUpdates), 990.0);
+        assert!(told(&status, Metric::Updates).is_nan(), "it has made none");
+        books.published += 3;
+        status.count(9_910, 991, 101, &books);
+        for (metric, value) in [
+            (Metric::Steps, 10.0),
+            (Metric::Updates, 1.0),
+            (Metric::Episodes, 2.0),
+            (Metric::Books, 3.0),
+            (Metric::RunSteps, 9_910.0),
+            (Metric::RunUpdates, 991.0),
+            (Metric::RunEpisodes, 101.0),
+        ] {
+            assert_eq!(told(&status, metric), value, "{metric:?}");
+        }
+    }
+
     #[tokio::test]
     async fn refusals_are_told_without_an_update_and_not_again_after_a_resume() {
         let mut status = served().await;
+        let mut books = Books::default();
+        books.refuse_without_event(RefusalCause::Protocol, 499);
+        status.event(&resumed(books));
         let health = |n| RunHealth {
             refusals: BTreeMap::from([(RefusalCause::Protocol, n)]),
             ..RunHealth::default()

@@ -90,10 +90,13 @@ macro_rules! metrics {
 }
 
 metrics! {
-    Steps = "steps" Counter MetricLabel::None, Learner, "environment steps trained on";
-    Updates = "updates" Counter MetricLabel::None, Learner, "optimiser iterations";
-    Episodes = "episodes" Counter MetricLabel::None, Learner, "training episodes that ended";
-    Books = "books" Counter ENTRY, Learner, "rollouts by what became of them";
+    Steps = "steps" Counter MetricLabel::None, Learner, "environment steps trained on since the learner started";
+    Updates = "updates" Counter MetricLabel::None, Learner, "optimiser iterations since the learner started";
+    Episodes = "episodes" Counter MetricLabel::None, Learner, "training episodes that ended since the learner started";
+    RunSteps = "run_steps" Gauge MetricLabel::None, Learner, "environment steps trained on in the whole run";
+    RunUpdates = "run_updates" Gauge MetricLabel::None, Learner, "optimiser iterations of the whole run";
+    RunEpisodes = "run_episodes" Gauge MetricLabel::None, Learner, "training episodes of the whole run that ended";
+    Books = "books" Counter ENTRY, Learner, "rollouts since the learner started, by what became of them";
     Refusals = "refusals" Counter MetricLabel::Cause, Learner, "messages refused since the learner started, by cause";
     Staleness = "staleness" Histogram MetricLabel::None, Learner, "learner version at use minus behaviour version, of the rollouts trained on";
     SuccessRatio = "success_ratio" Gauge MetricLabel::None, Learner, "mean success of the last 100 training episodes";
