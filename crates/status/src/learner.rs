@@ -32,6 +32,8 @@ pub struct LearnerFacts {
     pub checkpoint_interval: Duration,
     /// The file of the learner's certificate.
     pub certificate: Option<PathBuf>,
+    /// Whether the learner listens with it, and so reads it only when it starts; it is read anew whenever a process dials.
+    pub is_certificate_read_once: bool,
 }
 
 /// The writing end of a learner's status page, which is served for as long as this lives.
@@ -56,6 +58,8 @@ struct CountsBefore {
 #[derive(Debug)]
 struct LearnerPage {
     facts: LearnerFacts,
+    /// When the certificate ends that was read at the start; `None` where its file counts.
+    certificate_end: Option<f64>,
     numbers: Arc<PageNumbers>,
     liveness: Arc<Liveness>,
     is_listening: AtomicBool,
@@ -76,7 +80,9 @@ impl LearnerStatus {
     pub fn serve(server: StatusServer, facts: LearnerFacts) -> Self {
         let liveness = Liveness::new();
         let start = liveness.start();
+        let read_once = facts.certificate.as_deref().filter(|_| facts.is_certificate_read_once);
         let shared = Arc::new(LearnerPage {
+            certificate_end: read_once.and_then(machine::certificate_end),
             numbers: PageNumbers::new(MetricPage::Learner),
             is_listening: AtomicBool::new(false),
             has_enough_actors: AtomicBool::new(false),
@@ -226,8 +232,8 @@ impl StatusSource for LearnerPage {
         set(Metric::DiskFree, disk.map(|(free, _)| free));
         set(Metric::DiskSize, disk.map(|(_, size)| size));
         set(Metric::Resident, machine::resident_bytes());
-        let certificate = facts.certificate.as_deref().and_then(machine::certificate_end);
-        set(Metric::CertificateEnd, certificate);
+        let in_file = || machine::certificate_end(facts.certificate.as_deref()?);
+        set(Metric::CertificateEnd, self.certificate_end.or_else(in_file));
         numbers.text(("run", &facts.run))
     }
 
@@ -315,17 +321,48 @@ impl WaitWindow {
 mod tests {
     use std::collections::BTreeMap;
 
+    use leadtime_certs::{Authority, Role};
+
     use super::*;
 
     async fn served() -> LearnerStatus {
+        served_with(None, false).await
+    }
+
+    async fn served_with(
+        certificate: Option<PathBuf>,
+        is_certificate_read_once: bool,
+    ) -> LearnerStatus {
         let server = StatusServer::bind("127.0.0.1:0".parse().unwrap()).await.unwrap();
         let facts = LearnerFacts {
             run: "r".to_owned(),
             directory: PathBuf::from("."),
             checkpoint_interval: Duration::from_secs(30),
-            certificate: None,
+            certificate,
+            is_certificate_read_once,
         };
         LearnerStatus::serve(server, facts)
+    }
+
+    #[tokio::test]
+    async fn the_end_of_a_certificate_is_that_of_the_one_in_use() {
+        let directory = tempfile::tempdir().unwrap();
+        let now = "2026-01-01T00:00:00Z".parse().unwrap();
+        Authority::create(directory.path(), "Test", now).unwrap();
+        let mut authority = Authority::open(directory.path(), now).unwrap();
+        for (name, days) in [("old", 30), ("new", 60)] {
+            let lifetime = Duration::from_hours(24 * days);
+            authority.issue(Role::Learner, &name.parse().unwrap(), &[], lifetime, now).unwrap();
+        }
+        let [old, new] = ["old.pem", "new.pem"].map(|name| directory.path().join(name));
+        let ends = [&old, &new].map(|path| machine::certificate_end(path).unwrap());
+        let listening = served_with(Some(old.clone()), true).await;
+        let dialling = served_with(Some(old.clone()), false).await;
+        std::fs::copy(new, old).unwrap();
+        for (status, end) in [&listening, &dialling].into_iter().zip(ends) {
+            status.shared.metrics().unwrap();
+            assert_eq!(status.shared.numbers.get(Metric::CertificateEnd, 0), end);
+        }
     }
 
     #[tokio::test]

@@ -123,7 +123,7 @@ metrics! {
     WeightsVersion = "weights_version" Gauge MetricLabel::None, Actor, "newest version of the weights that this actor has";
     Reconnects = "reconnects" Counter MetricLabel::None, Actor, "hellos after the first: losses of the learner, and doubts about it";
     Resident = "process_resident_bytes" Gauge MetricLabel::None, Both, "memory of the process";
-    CertificateEnd = "certificate_end_timestamp_seconds" Gauge MetricLabel::None, Both, "when the certificate of the process ends, in seconds since 1970";
+    CertificateEnd = "certificate_end_timestamp_seconds" Gauge MetricLabel::None, Both, "when the certificate in use ends, in seconds since 1970";
 }
 
 #[cfg(test)]
