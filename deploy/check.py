@@ -178,7 +178,7 @@ CHECKS = [
     ("names of metrics", lambda: True, names, "grafana",
      [("leadtime.json", "leadtime_wait_ratio", "leadtime_wait_ration"), ("alerts.yaml", "leadtime_books_imbalance", "leadtime_book_imbalance")]),
     ("alerts", lambda: shutil.which("promtool"), alerts, "grafana",
-     [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on")]),
+     [("alerts.yaml", "increase(", "increases("), ("alerts.yaml", "severity", "severity:"), ("alerts.yaml", " unless on", " and on"), ("alerts.yaml", "unsaved_seconds > 60", "unsaved_seconds > 600")]),
     ("promises", lambda: find_spec("yaml"), promises, ".",
      [("systemd/leadtime-actor@.service", "Restart=always", "Restart=on-failure"), ("systemd/leadtime-router.service", "LimitNOFILE", "LimitNPROC"), ("systemd/leadtime-new-certs.service", " --no-block", ""), ("compose.yaml", "unless-stopped", "on-failure"),
       ("grafana/alerts.yaml", "2 * 86400", "10 * 86400"), ("kubernetes/autoscaler.yaml", "kind: Pod,", "kind: Service,"), ("kubernetes/actors.yaml", "AlwaysAllow", "IfHealthyBudget"), ("compose.yaml", "init deploy/tls", "init tls"), ("container/Containerfile", "chmod 1777", "chmod 0755"),

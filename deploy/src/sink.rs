@@ -128,7 +128,7 @@ impl ProgressSink for RunSink {
         {
             return;
         }
-        if let Some(status) = &self.status {
+        if let Some(status) = &mut self.status {
             status.event(event);
         }
         if let RunEvent::Unsaved { kept, .. } = event {
@@ -141,7 +141,7 @@ impl ProgressSink for RunSink {
 
     fn on_tick(&mut self, health: &RunHealth) {
         self.service.tick(health.has_enough_actors);
-        if let Some(status) = &mut self.status {
+        if let Some(status) = &self.status {
             status.tick(health);
         }
         if let Some(trace) = &mut self.trace {
@@ -200,7 +200,9 @@ fn log(event: &RunEvent) {
             info!("connected to a router; actors find the run there");
         }
         Listening { locators } => info!(at = %locators.join(", "), "listening"),
-        Resumed { path, n_updates } => info!("resumed from update {n_updates}: {}", path.display()),
+        Resumed { path, n_updates, .. } => {
+            info!("resumed from update {n_updates}: {}", path.display());
+        }
         CheckpointDamaged { path, damage } => {
             warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; using the previous one");
         }

@@ -116,6 +116,12 @@ pub enum RunEvent {
         path: PathBuf,
         /// Updates done before, which the checkpoint holds.
         n_updates: u64,
+        /// Environment steps that they trained on.
+        n_steps: u64,
+        /// Training episodes that ended in them.
+        n_episodes: u64,
+        /// The books with which the run goes on.
+        books: Books,
     },
     /// A checkpoint could not be used; an older one was.
     CheckpointDamaged {

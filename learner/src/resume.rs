@@ -146,10 +146,17 @@ impl ResumePoint {
         let older = state.older.into_iter();
         self.offered = older.map(|policy| (policy.version, policy.weights)).collect();
         self.record = state.record;
+        let resumed = RunEvent::Resumed {
+            path,
+            n_updates: version.0,
+            n_steps: version.0 * config.steps_per_update(),
+            n_episodes: self.record.episodes.means().n_finished,
+            books: self.start.books.clone(),
+        };
         let damaged = damaged.into_iter();
         self.events = damaged
             .map(|(path, damage)| RunEvent::CheckpointDamaged { path, damage })
-            .chain([RunEvent::Resumed { path, n_updates: version.0 }])
+            .chain([resumed])
             .collect();
         Ok(())
     }
@@ -230,8 +237,14 @@ mod tests {
             builds: Builds::default(),
         };
         store.write(1, &checkpoint).unwrap();
-        let books = begin(&config, &mut store).unwrap().start.books;
+        let point = begin(&config, &mut store).unwrap();
+        let books = point.start.books;
         assert_eq!(books.check(), Ok(()));
         assert_eq!((books.unused_at_end, books.rolled_back), (3, 0));
+        // What was counted before this start is told to those who count from it.
+        let [RunEvent::Resumed { n_updates, n_steps, books: told, .. }] = &point.events[..] else {
+            panic!("{:?}", point.events);
+        };
+        assert_eq!((*n_updates, *n_steps, told), (1, 2, &books));
     }
 }

@@ -360,6 +360,8 @@ fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
     let at = address(&learner);
     let actor = actor(&place, "");
     wait_for_updates(&place.run("r"), 8);
+    let unsaved = || sample(&get(&at, "/metrics").1, "leadtime_unsaved_seconds");
+    assert_eq!(unsaved(), Some(0.0));
     disk.fill();
     wait_for_words(&learner, "training continues");
     let n_updates = || sample(&get(&at, "/metrics").1, "leadtime_updates_total").unwrap();
@@ -370,8 +372,10 @@ fn a_full_disk_stops_no_training_until_patience_ends_and_nothing_is_lost() {
     let (paused, dropped) =
         (n_updates(), sample(&get(&at, "/metrics").1, "leadtime_lines_dropped_total"));
     assert!(dropped.unwrap() > 0.0, "{dropped:?}");
+    assert!(unsaved() >= Some(3.0), "also while it waits: {:?}", unsaved());
     disk.free();
     wait_for_words(&learner, "checkpoints can be written again");
+    wait_until("it is saved", PATIENCE, || unsaved() == Some(0.0));
     wait_until("training goes on", PATIENCE, || n_updates() > paused + 2.0);
     let said = learner.stderr();
     assert_eq!(said.matches("training continues").count(), 1, "told once: {said}");

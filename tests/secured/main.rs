@@ -23,7 +23,7 @@ use leadtime_link::{ConnectSettings, Error as LinkError};
 use leadtime_proto::{ClientName, Incarnation};
 use leadtime_runs::clock;
 use support::{
-    Finished, PATIENCE, Place, Running, outcome, repository, result, signal, updates,
+    Finished, PATIENCE, Place, Running, get, outcome, repository, result, signal, updates,
     wait_for_words, wait_until,
 };
 
@@ -56,6 +56,15 @@ fn address(listener: &Running) -> String {
     let rest = said.split("tls/127.0.0.1:").nth(1).unwrap();
     let port: String = rest.chars().take_while(char::is_ascii_digit).collect();
     format!("tls/127.0.0.1:{port}")
+}
+
+/// Returns what a learner's status page tells of its certificate.
+fn certificate_end(learner: &Running) -> String {
+    let said = learner.stderr();
+    let at = said.split("status at http://").nth(1).unwrap().split('/').next().unwrap();
+    let (_, page) = get(at, "/metrics");
+    let sample = page.lines().find(|it| it.starts_with("leadtime_certificate_end_timestamp"));
+    sample.unwrap().to_owned()
 }
 
 /// Runs the same in the clear over a unix socket, with one actor.
@@ -151,7 +160,8 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
         authority.issue(Role::Actor, &"a1".parse().unwrap(), &[], lifetime, clock::now()).unwrap();
     };
     place.finish(&["certs acl pki -o acl.json5"]).with_code(0);
-    let learner = place.start(&[LONG_RUN, "--listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5"]);
+    let listening = "--listen tls/127.0.0.1:0 --tls pki/l1 --acl acl.json5 --status 127.0.0.1:0";
+    let learner = place.start(&[LONG_RUN, listening]);
     let there = address(&learner);
     let run = place.run("r");
     let start = || place.start(&["actor --json --tls pki/a1 --connect", &there]);
@@ -182,6 +192,11 @@ fn a_certificate_is_replaced_under_way_and_no_rollout_is_lost() {
     println!("a certificate of {lifetime:?}: back {back:?} after it was replaced");
     assert!(back < BACK_WITHIN, "back only {back:?} after the files were replaced");
     goes_on();
+    // Whoever listens has read its own when it started: that is the one whose end counts.
+    let end_told = certificate_end(&learner);
+    let mut authority = Authority::open(&pki, clock::now()).unwrap();
+    authority.renew(365 * DAY, clock::now()).unwrap();
+    assert_eq!(certificate_end(&learner), end_told);
     signal("TERM", learner.id());
     let stopped = learner.finish(PATIENCE).with_code(130);
     let journal = actor.finish(PATIENCE).with_code(0).json();

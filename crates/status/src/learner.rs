@@ -1,12 +1,12 @@
 //! A learner's status: fed by what its run reports, read on request.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use leadtime_learner::{RunEvent, RunHealth, UpdateProgress};
+use leadtime_learner::{Books, RunEvent, RunHealth, UpdateProgress};
 use leadtime_proto::RefusalCause;
 use tokio_util::sync::DropGuard;
 
@@ -32,6 +32,8 @@ pub struct LearnerFacts {
     pub checkpoint_interval: Duration,
     /// The file of the learner's certificate.
     pub certificate: Option<PathBuf>,
+    /// Whether the learner listens with it, and so reads it only when it starts; it is read anew whenever a process dials.
+    pub is_certificate_read_once: bool,
 }
 
 /// The writing end of a learner's status page, which is served for as long as this lives.
@@ -39,15 +41,25 @@ pub struct LearnerFacts {
 pub struct LearnerStatus {
     shared: Arc<LearnerPage>,
     window: WaitWindow,
-    /// What had been refused before this process; `None` before the first tick. A resumed run's books hold a little less than
-    /// the last scrape before, which Prometheus would take for as many new refusals as they hold.
-    refused_before: Option<BTreeMap<RefusalCause, u64>>,
+    before: CountsBefore,
     _served: DropGuard,
+}
+
+/// What the run had counted before this process, which its counters leave out: a checkpoint holds a little less than the
+/// last scrape before, and Prometheus would take that for a counter that began anew and counted all of it.
+#[derive(Debug, Default)]
+struct CountsBefore {
+    n_steps: u64,
+    n_updates: u64,
+    n_episodes: u64,
+    books: Books,
 }
 
 #[derive(Debug)]
 struct LearnerPage {
     facts: LearnerFacts,
+    /// When the certificate ends that was read at the start; `None` where its file counts.
+    certificate_end: Option<f64>,
     numbers: Arc<PageNumbers>,
     liveness: Arc<Liveness>,
     is_listening: AtomicBool,
@@ -68,7 +80,9 @@ impl LearnerStatus {
     pub fn serve(server: StatusServer, facts: LearnerFacts) -> Self {
         let liveness = Liveness::new();
         let start = liveness.start();
+        let read_once = facts.certificate.as_deref().filter(|_| facts.is_certificate_read_once);
         let shared = Arc::new(LearnerPage {
+            certificate_end: read_once.and_then(machine::certificate_end),
             numbers: PageNumbers::new(MetricPage::Learner),
             is_listening: AtomicBool::new(false),
             has_enough_actors: AtomicBool::new(false),
@@ -83,7 +97,8 @@ impl LearnerStatus {
             facts,
         });
         let served = server.serve(Arc::clone(&shared) as Arc<dyn StatusSource>);
-        Self { shared, window: WaitWindow::new(start), refused_before: None, _served: served }
+        let (window, before) = (WaitWindow::new(start), CountsBefore::default());
+        Self { shared, window, before, _served: served }
     }
 
     /// Takes in an update.
@@ -91,19 +106,7 @@ impl LearnerStatus {
         let shared = &self.shared;
         let numbers = &shared.numbers;
         let UpdateProgress { update, episodes, phases, books, n_queued, .. } = progress;
-        numbers.set(Metric::Steps, progress.n_steps as f64);
-        numbers.set(Metric::Updates, progress.n_updates as f64);
-        numbers.set(Metric::Episodes, episodes.n_finished as f64);
-        let entries = [
-            books.published,
-            books.trained,
-            books.dropped_stale,
-            books.refused,
-            books.superseded,
-            books.rolled_back,
-            books.duplicates,
-        ];
-        numbers.set_all(Metric::Books, entries.map(|n| n as f64));
+        self.count(progress.n_steps, progress.n_updates, episodes.n_finished, books);
         for (&staleness, &n) in &update.staleness {
             numbers.observe_staleness(staleness, n);
         }
@@ -128,20 +131,40 @@ impl LearnerStatus {
         shared.last_update.note();
     }
 
+    /// Tells what the run has counted over all its starts, and what of it in this process.
+    fn count(&self, n_steps: u64, n_updates: u64, n_episodes: u64, books: &Books) {
+        self.tell_progress(n_steps, n_updates, n_episodes);
+        let (numbers, before) = (&self.shared.numbers, &self.before);
+        numbers.set(Metric::Steps, since(n_steps, before.n_steps));
+        numbers.set(Metric::Updates, since(n_updates, before.n_updates));
+        numbers.set(Metric::Episodes, since(n_episodes, before.n_episodes));
+        let entries = entries_of(books).into_iter().zip(entries_of(&before.books));
+        numbers.set_all(Metric::Books, entries.map(|(now, then)| since(now, then)));
+    }
+
+    /// Tells how far the run is, over all its starts.
+    fn tell_progress(&self, n_steps: u64, n_updates: u64, n_episodes: u64) {
+        let numbers = &self.shared.numbers;
+        numbers.set(Metric::RunSteps, n_steps as f64);
+        numbers.set(Metric::RunUpdates, n_updates as f64);
+        numbers.set(Metric::RunEpisodes, n_episodes as f64);
+    }
+
     /// Takes in how the run stands.
-    pub fn tick(&mut self, health: &RunHealth) {
+    pub fn tick(&self, health: &RunHealth) {
         let LearnerPage { numbers, liveness, .. } = &*self.shared;
         liveness.tick();
         numbers.set(Metric::Actors, health.n_actors as f64);
         numbers.set(Metric::EnvironmentsWaiting, health.n_envs_waiting as f64);
         numbers.set(Metric::QueuedRollouts, health.n_queued as f64);
         numbers.set(Metric::QueuedBytes, health.queued_bytes as f64);
+        numbers.set(Metric::Unsaved, health.unsaved.unwrap_or_default().as_secs_f64());
         // Not with the updates: a run whose actors are all refused makes none.
-        let before = self.refused_before.get_or_insert_with(|| health.refusals.clone());
+        let before = &self.before.books.refusals;
         let refused = |cause: &RefusalCause| {
-            let n_before = before.get(cause).copied().unwrap_or(0);
-            let n_all = health.refusals.get(cause).copied().unwrap_or(0);
-            n_all.saturating_sub(n_before) as f64
+            let [n_now, n_then] =
+                [&health.refusals, before].map(|counts| counts.get(cause).copied().unwrap_or(0));
+            since(n_now, n_then)
         };
         numbers.set_all(Metric::Refusals, RefusalCause::ALL.iter().map(refused));
         self.shared.n_actors.store(health.n_actors as u64, Ordering::Relaxed);
@@ -150,8 +173,14 @@ impl LearnerStatus {
     }
 
     /// Takes in what happened.
-    pub fn event(&self, event: &RunEvent) {
+    pub fn event(&mut self, event: &RunEvent) {
         match event {
+            RunEvent::Resumed { n_steps, n_updates, n_episodes, books, .. } => {
+                let (n_steps, n_updates, n_episodes) = (*n_steps, *n_updates, *n_episodes);
+                self.tell_progress(n_steps, n_updates, n_episodes);
+                let books = books.clone();
+                self.before = CountsBefore { n_steps, n_updates, n_episodes, books };
+            }
             RunEvent::Listening { .. } => self.shared.is_listening.store(true, Ordering::Relaxed),
             RunEvent::CheckpointWritten { .. } => self.shared.last_checkpoint.note(),
             _ => {}
@@ -162,6 +191,24 @@ impl LearnerStatus {
     pub fn dropped(&self) {
         self.shared.numbers.add(Metric::LinesDropped, 0, 1.0);
     }
+}
+
+/// Returns what was counted since then.
+fn since(now: u64, then: u64) -> f64 {
+    now.saturating_sub(then) as f64
+}
+
+/// Returns the entries of the books, in the order of their label's values.
+fn entries_of(books: &Books) -> [u64; 7] {
+    [
+        books.published,
+        books.trained,
+        books.dropped_stale,
+        books.refused,
+        books.superseded,
+        books.rolled_back,
+        books.duplicates,
+    ]
 }
 
 impl Drop for LearnerStatus {
@@ -185,8 +232,8 @@ impl StatusSource for LearnerPage {
         set(Metric::DiskFree, disk.map(|(free, _)| free));
         set(Metric::DiskSize, disk.map(|(_, size)| size));
         set(Metric::Resident, machine::resident_bytes());
-        let certificate = facts.certificate.as_deref().and_then(machine::certificate_end);
-        set(Metric::CertificateEnd, certificate);
+        let in_file = || machine::certificate_end(facts.certificate.as_deref()?);
+        set(Metric::CertificateEnd, self.certificate_end.or_else(in_file));
         numbers.text(("run", &facts.run))
     }
 
@@ -272,18 +319,98 @@ impl WaitWindow {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use leadtime_certs::{Authority, Role};
+
     use super::*;
 
-    #[tokio::test]
-    async fn refusals_are_told_without_an_update_and_not_again_after_a_resume() {
+    async fn served() -> LearnerStatus {
+        served_with(None, false).await
+    }
+
+    async fn served_with(
+        certificate: Option<PathBuf>,
+        is_certificate_read_once: bool,
+    ) -> LearnerStatus {
         let server = StatusServer::bind("127.0.0.1:0".parse().unwrap()).await.unwrap();
         let facts = LearnerFacts {
             run: "r".to_owned(),
             directory: PathBuf::from("."),
             checkpoint_interval: Duration::from_secs(30),
-            certificate: None,
+            certificate,
+            is_certificate_read_once,
         };
-        let mut status = LearnerStatus::serve(server, facts);
+        LearnerStatus::serve(server, facts)
+    }
+
+    #[tokio::test]
+    async fn the_end_of_a_certificate_is_that_of_the_one_in_use() {
+        let directory = tempfile::tempdir().unwrap();
+        let now = "2026-01-01T00:00:00Z".parse().unwrap();
+        Authority::create(directory.path(), "Test", now).unwrap();
+        let mut authority = Authority::open(directory.path(), now).unwrap();
+        for (name, days) in [("old", 30), ("new", 60)] {
+            let lifetime = Duration::from_hours(24 * days);
+            authority.issue(Role::Learner, &name.parse().unwrap(), &[], lifetime, now).unwrap();
+        }
+        let [old, new] = ["old.pem", "new.pem"].map(|name| directory.path().join(name));
+        let ends = [&old, &new].map(|path| machine::certificate_end(path).unwrap());
+        let listening = served_with(Some(old.clone()), true).await;
+        let dialling = served_with(Some(old.clone()), false).await;
+        std::fs::copy(new, old).unwrap();
+        for (status, end) in [&listening, &dialling].into_iter().zip(ends) {
+            status.shared.metrics().unwrap();
+            assert_eq!(status.shared.numbers.get(Metric::CertificateEnd, 0), end);
+        }
+    }
+
+    #[tokio::test]
+    async fn what_cannot_be_saved_is_told_while_updates_wait_for_it_as_well() {
+        let status = served().await;
+        for (seconds, told) in [(None, 0.0), (Some(90), 90.0), (None, 0.0)] {
+            let unsaved = seconds.map(Duration::from_secs);
+            let is_paused = unsaved.is_some();
+            status.tick(&RunHealth { unsaved, is_paused, ..RunHealth::default() });
+            assert_eq!(status.shared.numbers.get(Metric::Unsaved, 0), told);
+        }
+    }
+
+    fn resumed(books: Books) -> RunEvent {
+        let (path, n_updates, n_steps, n_episodes) = (PathBuf::new(), 990, 9_900, 99);
+        RunEvent::Resumed { path, n_updates, n_steps, n_episodes, books }
+    }
+
+    #[tokio::test]
+    async fn a_learner_that_resumes_counts_from_its_start_and_tells_how_far_the_run_is() {
+        let mut status = served().await;
+        let told = |status: &LearnerStatus, metric| status.shared.numbers.get(metric, 0);
+        let mut books = Books::default();
+        books.published = 70;
+        status.event(&resumed(books.clone()));
+        assert_eq!(told(&status, Metric::RunUpdates), 990.0);
+        assert!(told(&status, Metric::Updates).is_nan(), "it has made none");
+        books.published += 3;
+        status.count(9_910, 991, 101, &books);
+        for (metric, value) in [
+            (Metric::Steps, 10.0),
+            (Metric::Updates, 1.0),
+            (Metric::Episodes, 2.0),
+            (Metric::Books, 3.0),
+            (Metric::RunSteps, 9_910.0),
+            (Metric::RunUpdates, 991.0),
+            (Metric::RunEpisodes, 101.0),
+        ] {
+            assert_eq!(told(&status, metric), value, "{metric:?}");
+        }
+    }
+
+    #[tokio::test]
+    async fn refusals_are_told_without_an_update_and_not_again_after_a_resume() {
+        let mut status = served().await;
+        let mut books = Books::default();
+        books.refuse_without_event(RefusalCause::Protocol, 499);
+        status.event(&resumed(books));
         let health = |n| RunHealth {
             refusals: BTreeMap::from([(RefusalCause::Protocol, n)]),
             ..RunHealth::default()

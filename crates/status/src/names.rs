@@ -90,10 +90,13 @@ macro_rules! metrics {
 }
 
 metrics! {
-    Steps = "steps" Counter MetricLabel::None, Learner, "environment steps trained on";
-    Updates = "updates" Counter MetricLabel::None, Learner, "optimiser iterations";
-    Episodes = "episodes" Counter MetricLabel::None, Learner, "training episodes that ended";
-    Books = "books" Counter ENTRY, Learner, "rollouts by what became of them";
+    Steps = "steps" Counter MetricLabel::None, Learner, "environment steps trained on since the learner started";
+    Updates = "updates" Counter MetricLabel::None, Learner, "optimiser iterations since the learner started";
+    Episodes = "episodes" Counter MetricLabel::None, Learner, "training episodes that ended since the learner started";
+    RunSteps = "run_steps" Gauge MetricLabel::None, Learner, "environment steps trained on in the whole run";
+    RunUpdates = "run_updates" Gauge MetricLabel::None, Learner, "optimiser iterations of the whole run";
+    RunEpisodes = "run_episodes" Gauge MetricLabel::None, Learner, "training episodes of the whole run that ended";
+    Books = "books" Counter ENTRY, Learner, "rollouts since the learner started, by what became of them";
     Refusals = "refusals" Counter MetricLabel::Cause, Learner, "messages refused since the learner started, by cause";
     Staleness = "staleness" Histogram MetricLabel::None, Learner, "learner version at use minus behaviour version, of the rollouts trained on";
     SuccessRatio = "success_ratio" Gauge MetricLabel::None, Learner, "mean success of the last 100 training episodes";
@@ -112,6 +115,7 @@ metrics! {
     LinesDropped = "lines_dropped" Counter MetricLabel::None, Learner, "lines of metrics.jsonl, event files and policy files that could not be written";
     CheckpointAge = "checkpoint_age_seconds" Gauge MetricLabel::None, Learner, "time since the last checkpoint was written, or since the start";
     CheckpointInterval = "checkpoint_interval_seconds" Gauge MetricLabel::None, Learner, "the configured time between checkpoints";
+    Unsaved = "unsaved_seconds" Gauge MetricLabel::None, Learner, "for how long no checkpoint could be written; 0 while all is well";
     DiskFree = "disk_free_bytes" Gauge MetricLabel::None, Learner, "bytes free on the disk of the run directory";
     DiskSize = "disk_size_bytes" Gauge MetricLabel::None, Learner, "bytes that the disk of the run directory holds";
     ActorSteps = "actor_steps" Counter MetricLabel::None, Actor, "environment steps simulated";
@@ -119,7 +123,7 @@ metrics! {
     WeightsVersion = "weights_version" Gauge MetricLabel::None, Actor, "newest version of the weights that this actor has";
     Reconnects = "reconnects" Counter MetricLabel::None, Actor, "hellos after the first: losses of the learner, and doubts about it";
     Resident = "process_resident_bytes" Gauge MetricLabel::None, Both, "memory of the process";
-    CertificateEnd = "certificate_end_timestamp_seconds" Gauge MetricLabel::None, Both, "when the certificate of the process ends, in seconds since 1970";
+    CertificateEnd = "certificate_end_timestamp_seconds" Gauge MetricLabel::None, Both, "when the certificate in use ends, in seconds since 1970";
 }
 
 #[cfg(test)]

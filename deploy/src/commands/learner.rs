@@ -1,7 +1,7 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use anyhow::Context as _;
@@ -68,8 +68,7 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     }
     tell_changes(&run_dir, &config);
     tracing::info!("run opened: {}", run_dir.path.display());
-    let own = listen.identity.as_ref().map(|identity| identity.certificate().to_owned());
-    let certificate = own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate));
+    let facts = facts(&run_dir, &config, &listen);
     let learner = learner_config(&config, &run_dir, listen, build, args.local_actors)
         .blame(ExitCode::WrongInput)?;
     let recorder = open_recorder(&run_dir, &config)?;
@@ -81,7 +80,6 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
     let stop = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
     let stop = stop.map(|n_updates| (n_updates, planned.clone()));
-    let facts = facts(&run_dir, &config, certificate);
     let status = status.map(|server| LearnerStatus::serve(server, facts));
     let trace = ProcessTrace::join(trace, "learner", "learner");
     let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
@@ -110,12 +108,15 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
 }
 
 /// Gathers what a status page says of the run itself.
-fn facts(run_dir: &RunDir, config: &Config, certificate: Option<PathBuf>) -> LearnerFacts {
+fn facts(run_dir: &RunDir, config: &Config, listen: &ListenSettings) -> LearnerFacts {
+    let own = listen.identity.as_ref().map(|identity| identity.certificate().to_owned());
+    let listens_with_it = |endpoint: &Endpoint| endpoint.as_str().starts_with("tls/");
     LearnerFacts {
         run: run_dir.name.to_string(),
         directory: run_dir.path.clone(),
         checkpoint_interval: config.run.checkpoints.time,
-        certificate,
+        certificate: own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate)),
+        is_certificate_read_once: listen.endpoints.iter().any(listens_with_it),
     }
 }
 
