@@ -188,7 +188,7 @@ impl EventHub {
     pub(crate) fn join(
         &mut self,
         wanted: Wanted,
-        first: Vec<Bytes>,
+        first: &[Bytes],
         now: Instant,
     ) -> Result<flume::Receiver<EventBytes>, NoPlace> {
         if self.is_closed {
@@ -244,7 +244,7 @@ mod tests {
         let (mut hub, now) = (EventHub::default(), Instant::now());
         let wanted = Wanted::parse(Some("update,actors")).unwrap();
         let first = vec![event(EventKind::Update, Some("7.0"), "{\"update\":7}")];
-        let events = hub.join(wanted, first, now).unwrap();
+        let events = hub.join(wanted, &first, now).unwrap();
         hub.send(EventKind::Log, None, "{}", now);
         hub.send(EventKind::Actors, None, "[]", now);
         hub.close(now);
@@ -252,7 +252,7 @@ mod tests {
         assert_eq!(heard[0], "id: 7.0\nevent: update\ndata: {\"update\":7}\n\n");
         assert_eq!(heard[1..], ["event: actors\ndata: []\n\n"]);
         assert!(events.is_disconnected());
-        assert_eq!(hub.join(all(), Vec::new(), now).unwrap_err(), NoPlace::Closed);
+        assert_eq!(hub.join(all(), &[], now).unwrap_err(), NoPlace::Closed);
     }
 
     #[test]
@@ -265,8 +265,8 @@ mod tests {
     #[test]
     fn a_client_that_does_not_read_is_cut_off_and_the_others_stay() {
         let (mut hub, start) = (EventHub::default(), Instant::now());
-        let slow = hub.join(all(), Vec::new(), start).unwrap();
-        let quick = hub.join(all(), Vec::new(), start).unwrap();
+        let slow = hub.join(all(), &[], start).unwrap();
+        let quick = hub.join(all(), &[], start).unwrap();
         for second in 0..=6 {
             hub.send(EventKind::State, None, "{}", start + Duration::from_secs(second));
             assert_eq!(quick.drain().count(), 1);
@@ -283,7 +283,7 @@ mod tests {
     fn a_client_that_reads_long_curves_slowly_stays_and_one_that_ceases_is_cut_off() {
         let (mut hub, start) = (EventHub::default(), Instant::now());
         let curves = event(EventKind::History, None, &"7".repeat(1 << 20));
-        let events = hub.join(all(), vec![curves.clone()], start).unwrap();
+        let events = hub.join(all(), std::slice::from_ref(&curves), start).unwrap();
         let mut read = Vec::new();
         let mut second = |second, reads: bool| {
             let now = start + Duration::from_secs(second);
@@ -306,7 +306,7 @@ mod tests {
     #[test]
     fn a_client_that_reads_slowly_stays() {
         let (mut hub, start) = (EventHub::default(), Instant::now());
-        let events = hub.join(all(), Vec::new(), start).unwrap();
+        let events = hub.join(all(), &[], start).unwrap();
         for second in 0..60 {
             for _ in 0..2 {
                 hub.send(EventKind::State, None, "{}", start + Duration::from_secs(second));
@@ -320,19 +320,19 @@ mod tests {
     fn there_is_a_limit_and_who_leaves_makes_room() {
         let (mut hub, now) = (EventHub::default(), Instant::now());
         let mut clients: Vec<_> =
-            (0..MAX_CLIENTS).map(|_| hub.join(all(), Vec::new(), now).unwrap()).collect();
-        assert_eq!(hub.join(all(), Vec::new(), now).unwrap_err(), NoPlace::Full);
+            (0..MAX_CLIENTS).map(|_| hub.join(all(), &[], now).unwrap()).collect();
+        assert_eq!(hub.join(all(), &[], now).unwrap_err(), NoPlace::Full);
         clients.pop();
-        assert!(hub.join(all(), Vec::new(), now).is_ok());
+        assert!(hub.join(all(), &[], now).is_ok());
     }
 
     #[test]
     fn only_subscribers_who_want_moments_count_as_watching() {
         let (mut hub, now) = (EventHub::default(), Instant::now());
         let wanted = Wanted::parse(Some("state,update")).unwrap();
-        let _script = hub.join(wanted, Vec::new(), now).unwrap();
+        let _script = hub.join(wanted, &[], now).unwrap();
         assert_eq!(hub.n_watching(), 0);
-        let page = hub.join(all(), Vec::new(), now).unwrap();
+        let page = hub.join(all(), &[], now).unwrap();
         assert_eq!(hub.n_watching(), 1);
         drop(page);
         assert_eq!((hub.n_watching(), hub.n_clients()), (0, 1));

@@ -171,7 +171,7 @@ impl Page {
         if wanted.has(EventKind::Flight) {
             first.extend(flight.clone());
         }
-        hub.join(wanted, first, now)
+        hub.join(wanted, &first, now)
     }
 
     /// Counts the pages on which the policy is seen at work.
