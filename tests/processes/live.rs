@@ -264,11 +264,15 @@ fn an_unusable_observation_is_answered_with_one_sentence_and_sixteen_in_a_row_en
     client.port.observe_as("text/csv", b"0,1", None).unwrap();
     client.listen_for("told", "an observation of encoding `text/csv`; known: application/json");
     // One at a time: of several that wait only the newest is looked at.
-    for count_on in [10, -5, 3] {
+    for (count_on, key, count) in [(10, "taken", 2), (-5, "out_of_order", 1)] {
         client.seq = client.seq.strict_add_signed(count_on);
         client.observe();
-        client.listen(Duration::from_millis(60));
+        let is_counted =
+            |client: &Client| client.statuses.last().is_some_and(|it| it[key] == count);
+        client.act_until(key, is_counted, |client| client.listen(Duration::from_millis(20)));
     }
+    client.seq += 3;
+    client.observe();
     client.listen_for("told", "came twice, with other content");
     let last = client.statuses.last().unwrap();
     assert_eq!((&last["out_of_order"], &last["missed"]), (&json!(1), &json!(12)), "{last}");
@@ -523,7 +527,7 @@ fn a_notifier_that_cannot_work_says_so_in_one_sentence() {
     ];
     place.finish(&["drive highway --connect", &to]).with_code(PEER_LOST).saying(&told);
     let told = ["no notifier `other` is at work", "there: `notifier`", "with --service other"];
-    let other = "--service other --connect-timeout 300ms";
+    let other = "--service other --connect-timeout 3s";
     place.finish(&["drive lander --connect", &to, other]).with_code(PEER_LOST).saying(&told);
     let another = "--max-speed --episodes 1 --set human.reaction_delay=4";
     let told = ["this task is not the one", "human", "here and", "the policy's own file"];
