@@ -331,6 +331,18 @@ pub(crate) fn result(run: &Path) -> Value {
     record(run)["result"].clone()
 }
 
+/// How a client is driven that is recorded. Nobody waits for a recorder, and at full speed a busy machine may leave something out
+/// on the way to it.
+pub(crate) const PACE: &str = "--clock observation --seconds-per-step 0.03";
+
+/// Returns what a replay finds missing in a session, but for single messages, which a machine with too much to do may leave out at
+/// any pace: that is told as well.
+pub(crate) fn gaps(session: &Value) -> Vec<&str> {
+    let gaps = session["gaps"].as_array().expect("a replay tells the gaps");
+    let gaps = gaps.iter().map(|gap| gap.as_str().expect("in words"));
+    gaps.filter(|gap| !gap.contains("missing")).collect()
+}
+
 /// Opens the link of an actor that the test plays itself, and returns with it the hello that it may say.
 pub(crate) async fn fake_actor(
     endpoint: &Endpoint,
