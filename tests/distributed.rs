@@ -24,8 +24,9 @@ use leadtime_proto::{
     ActorId, CheckedRollout, EnvId, EnvSpec, Epoch, Header, Iteration, PolicySpec, PolicyVersion,
     Rollout, RunName, RunSpec, Sequence, TaskSpec, codec, fakes,
 };
+use tokio::runtime::Handle;
 use tokio::sync::watch;
-use tokio::task::JoinHandle;
+use tokio::task::{JoinHandle, block_in_place};
 use tokio_util::sync::CancellationToken;
 
 const N_ENVS: usize = 3;
@@ -162,15 +163,22 @@ fn diverging_reference(large: LearnerSettings) -> (u64, [u8; 32], Result<[u8; 32
     (n_good, good, rest.map(|()| run.digest()))
 }
 
-/// Tells a test how far a run is, and remembers what happened.
+/// Tells a test how far a run is, holds it there, and remembers what happened.
 struct Witness {
     n_updates: watch::Sender<u64>,
+    held_at: watch::Receiver<u64>,
     events: Events,
 }
 
 impl ProgressSink for Witness {
     fn on_update(&mut self, progress: &UpdateProgress) {
-        self.n_updates.send_replace(progress.n_updates);
+        let n_updates = progress.n_updates;
+        self.n_updates.send_replace(n_updates);
+        let is_held = *self.held_at.borrow() <= n_updates;
+        if is_held {
+            let let_go = self.held_at.wait_for(|held_at| *held_at > n_updates);
+            drop(block_in_place(|| Handle::current().block_on(let_go)));
+        }
     }
 
     fn on_event(&mut self, event: &RunEvent) {
@@ -246,6 +254,7 @@ fn assert_reported(events: &Events, is_it: impl Fn(&RunEvent) -> bool) {
 struct Learner {
     task: JoinHandle<Result<RunReport, leadtime_learner::Error>>,
     n_updates: watch::Receiver<u64>,
+    held_at: watch::Sender<u64>,
     events: Events,
     stop: CancellationToken,
 }
@@ -281,8 +290,9 @@ impl Learner {
 
     fn start_judged(config: LearnerConfig, judge: Option<Judge>) -> Self {
         let (progress, n_updates) = watch::channel(0);
+        let (held_at, hold) = watch::channel(u64::MAX);
         let events = Arc::new(Mutex::new(Vec::new()));
-        let sink = Witness { n_updates: progress, events: Arc::clone(&events) };
+        let sink = Witness { n_updates: progress, held_at: hold, events: Arc::clone(&events) };
         let stop = CancellationToken::new();
         let run = leadtime_learner::run(
             config,
@@ -290,7 +300,7 @@ impl Learner {
             judge.map(Judge::evaluation),
             stop.clone(),
         );
-        Self { task: tokio::spawn(run), n_updates, events, stop }
+        Self { task: tokio::spawn(run), n_updates, held_at, events, stop }
     }
 
     /// Starts the next learner at an address that a killed one may hold for a moment longer.
@@ -316,6 +326,16 @@ impl Learner {
         tokio::time::timeout(PATIENCE, attempts).await.expect("the address comes free")
     }
 
+    /// Has the run wait after so many updates: they take so little time that a test which waits for one may wake up after the
+    /// last. To be called before there are actors.
+    fn hold_at(&self, n_updates: u64) {
+        self.held_at.send_replace(n_updates);
+    }
+
+    fn let_go(&self) {
+        self.held_at.send_replace(u64::MAX);
+    }
+
     async fn reach(&mut self, n_updates: u64) {
         let reached = self.n_updates.wait_for(|n| *n >= n_updates);
         tokio::time::timeout(PATIENCE, reached).await.expect("in time").expect("still running");
@@ -337,6 +357,7 @@ impl Learner {
 
     async fn stopped_with(self, actor: ActorTask) -> RunReport {
         self.stop.cancel();
+        self.let_go();
         self.report_with(actor).await
     }
 }
@@ -421,8 +442,11 @@ async fn policies_that_wait_for_their_evaluation_survive_a_stop_and_the_best_is_
     let mut learner = judged(directory.path(), Judge::Hangs, 1);
     let helper = actor(directory.path(), "a", 1);
     learner.reach(6).await;
+    let further = learner.n_updates.wait_for(|n| *n > 6);
+    let waits = tokio::time::timeout(Duration::from_millis(500), further).await.is_err();
+    assert!(waits, "training waits for the evaluation");
     let stopped = learner.stopped_with(helper).await;
-    assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 6), "training waited");
+    assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 6));
     assert_eq!((stopped.held_out.len(), stopped.best.version), (0, stopped.last.version));
     let learner = judged(directory.path(), Judge::Works, 2);
     let helper = actor(directory.path(), "a", 2);
@@ -514,11 +538,11 @@ async fn a_learner_that_comes_back_goes_on_to_the_same_weights() {
     for mode in [Mode::Sync, Mode::Lag] {
         let directory = tempfile::tempdir().unwrap();
         let mut learner = Learner::start(directory.path(), mode, 1, 1);
+        learner.hold_at(5);
         let first = actor(directory.path(), "first", 1);
         learner.reach(5).await;
         let stopped = learner.stopped_with(first).await;
-        assert_eq!(stopped.end, RunEnd::Stopped);
-        assert!(stopped.n_updates < N_UPDATES);
+        assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 5));
         let resumed = Learner::start(directory.path(), mode, 1, 2);
         let second = actor(directory.path(), "second", 1);
         let report = resumed.report_with(second).await;
@@ -584,6 +608,7 @@ async fn a_run_that_diverges_keeps_its_last_good_update_and_goes_on_with_smaller
 async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back() {
     let directory = tempfile::tempdir().unwrap();
     let mut learner = Learner::start(directory.path(), Mode::Lag, 1, 1);
+    learner.hold_at(7);
     let first = actor(directory.path(), "a", 1);
     learner.reach(7).await;
     let stopped = learner.stopped_with(first).await;
@@ -596,7 +621,7 @@ async fn a_learner_that_comes_back_from_an_older_checkpoint_rolls_its_books_back
     let second = actor(directory.path(), "a", 2);
     let report = resumed.report_with(second).await;
     assert_eq!(report.digest, reference(Mode::Lag));
-    assert!(stopped.n_updates > 6);
+    assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 7));
     assert_reported(&events, |event| matches!(event, RunEvent::CheckpointDamaged { .. }));
 }
 
@@ -608,9 +633,11 @@ async fn an_actor_outlives_its_learner_and_goes_on_with_the_next() {
         let seldom = CheckpointInterval { updates: 4, ..config.checkpoint_interval };
         let config = LearnerConfig { checkpoint_interval: seldom, ..config };
         let mut killed = Learner::start_with(config);
+        killed.hold_at(5);
         let survivor = actor(directory.path(), "survivor", 1);
         killed.reach(5).await;
         killed.task.abort();
+        killed.let_go();
         assert!(killed.task.await.unwrap_err().is_cancelled());
         // It may have gone on until the abort took effect.
         let n_lost = *killed.n_updates.borrow() % 4;
@@ -735,6 +762,7 @@ async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
 async fn a_changed_configuration_is_refused() {
     let directory = tempfile::tempdir().unwrap();
     let mut learner = Learner::start(directory.path(), Mode::Sync, 1, 1);
+    learner.hold_at(1);
     let only = actor(directory.path(), "a", 1);
     learner.reach(1).await;
     learner.stopped_with(only).await;

@@ -1,7 +1,6 @@
 //! `compare`: from a study to its tables, killed on the way, and what is wrong with a request.
 
 use std::fs;
-use std::time::Duration;
 
 use serde_json::Value;
 
@@ -111,7 +110,7 @@ fn an_interrupted_comparison_takes_its_runs_down_and_a_drained_one_ends_well() {
         wait_until("a run is under way", PATIENCE, under_way);
         let family = children(running.id());
         signal(name, running.id());
-        let ended = running.finish(Duration::from_secs(6)).with_code(code);
+        let ended = running.finish(PATIENCE).with_code(code);
         ended.saying(&["The same command goes on with what is missing"]);
         assert!(family.iter().all(|id| !is_alive(*id)));
     }

@@ -5,19 +5,6 @@ use std::fs;
 use crate::support::{Place, result};
 
 const WIDTH: usize = 80;
-const COMMANDS: &str = "smoke up race learner actor eval report probe play compare pilot taxonomy conformance config \
-                        describe new runs check script-search watch record replay completions serve drive router \
-                        version health";
-const NESTED: [&str; 8] = [
-    "pilot eval",
-    "taxonomy build",
-    "taxonomy rate",
-    "taxonomy report",
-    "taxonomy export",
-    "taxonomy validate",
-    "runs list",
-    "runs compare",
-];
 
 #[track_caller]
 fn fits(text: &str) {
@@ -36,6 +23,21 @@ fn arguments(example: &str) -> Vec<String> {
     pieces.collect()
 }
 
+/// Returns the names of the commands that a help lists; `help` is clap's own.
+fn commands(help: &str) -> Vec<String> {
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1);
+    let listed = listed.take_while(|line| !line.is_empty());
+    // What goes on about a command is indented further.
+    let names = listed.filter_map(|line| line.strip_prefix("  ")?.split(' ').next());
+    names.filter(|name| !name.is_empty() && *name != "help").map(str::to_owned).collect()
+}
+
+/// Returns the arguments of the examples that a help ends with.
+fn examples(help: &str) -> Vec<Vec<String>> {
+    let help = help.replace("\\\n      ", "");
+    help.lines().filter_map(|line| line.strip_prefix("  leadtime ")).map(arguments).collect()
+}
+
 #[test]
 fn help_fits_a_terminal_and_its_examples_are_read() {
     let place = Place::new();
@@ -44,22 +46,26 @@ fn help_fits_a_terminal_and_its_examples_are_read() {
         command.args(args).env("COLUMNS", WIDTH.to_string());
         place.start_with(command).finish(crate::support::PATIENCE).with_code(0).stdout
     };
-    let words = |command: &str, h: &str| -> Vec<String> {
-        command.split(' ').chain([h]).map(str::to_owned).collect()
-    };
-    let commands = COMMANDS.split_whitespace().chain(NESTED);
-    let commands = commands.flat_map(|command| ["-h", "--help"].map(|h| words(command, h)));
-    for args in std::iter::once(vec!["--help".to_owned()]).chain(commands) {
-        let text = help(&args);
-        fits(&text);
-        let text = text.replace("\\\n      ", "");
-        let examples = text.lines().filter_map(|line| line.strip_prefix("  leadtime "));
-        let examples: Vec<Vec<String>> = examples.map(arguments).collect();
-        assert!(!examples.is_empty(), "{args:?} shows no example");
-        for example in examples.into_iter().filter(|_| args.last().unwrap() == "--help") {
-            // Arguments are read from left to right, so a wrong one is met before the help is printed.
-            help(&[example, vec!["--help".to_owned()]].concat());
+    let with = |path: &[String], word: &str| [path, &[word.to_owned()]].concat();
+    // Every command there is: those of a group follow the group.
+    let mut paths: Vec<Vec<String>> = vec![Vec::new()];
+    let mut n_read = 0;
+    while let Some(path) = paths.get(n_read).cloned() {
+        n_read += 1;
+        let (short, long) = (help(&with(&path, "-h")), help(&with(&path, "--help")));
+        for text in [&short, &long] {
+            fits(text);
+            assert!(!examples(text).is_empty(), "{path:?} shows no example");
         }
+        for example in examples(&long) {
+            // Arguments are read from left to right, so a wrong one is met before the help is printed.
+            help(&with(&example, "--help"));
+        }
+        paths.extend(commands(&short).iter().map(|name| with(&path, name)));
+    }
+    let found: Vec<String> = paths.iter().map(|path| path.join(" ")).collect();
+    for known in ["up", "script-search", "certs issue", "runs prune", "taxonomy speak"] {
+        assert!(found.iter().any(|path| path == known), "`{known}` is not in: {found:?}");
     }
 }
 

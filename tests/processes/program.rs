@@ -382,7 +382,7 @@ fn a_quick_smoke_works_end_to_end_and_leaves_no_process() {
         seen.extend(children(smoke.id()));
         !smoke.is_running()
     });
-    let done = smoke.finish(Duration::from_secs(1)).with_code(0).saying(&["mechanics only"]);
+    let done = smoke.finish(PATIENCE).with_code(0).saying(&["mechanics only"]);
     assert!(seen.len() >= 3, "learner and two actors were separate processes: {seen:?}");
     assert!(seen.iter().all(|child| !is_alive(*child)));
     let printed = done.json();

@@ -1,7 +1,6 @@
 //! A race of several seeds: who is stopped, who wins, and that neither a race nor its interruption changes a run.
 
 use std::fs;
-use std::time::Duration;
 
 use crate::support::{
     PATIENCE, Place, checkpoints, children, is_alive, result, signal, updates, wait_for_updates,
@@ -82,7 +81,7 @@ fn a_race_that_is_drained_ends_well_and_is_to_go_on() {
     wait_for_updates(&place.run(NAMES[0]), 3);
     let helpers = children(drained.id());
     signal("USR1", drained.id());
-    let ended = drained.finish(Duration::from_secs(6)).with_code(0);
+    let ended = drained.finish(PATIENCE).with_code(0);
     ended.saying(&["asked to drain", "The same command goes on with the race."]);
     assert!(!helpers.iter().any(|id| is_alive(*id)));
     assert!(!checkpoints(&place.run(NAMES[0])).is_empty());

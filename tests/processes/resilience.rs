@@ -11,12 +11,10 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use crate::support::{
-    Finished, PATIENCE, Place, Running, checkpoints, journal, outcome, record, result, signal,
-    updates, wait_for_updates, wait_for_words, wait_until,
+    Finished, PATIENCE, Place, Running, SOON, checkpoints, journal, outcome, record, result,
+    signal, updates, wait_for_updates, wait_for_words, wait_until,
 };
 use serde_json::Value;
-
-const SECOND: Duration = Duration::from_secs(1);
 
 /// A CartPole run of a few seconds; 40 updates.
 const RUN: &str = "learner --name r -c cartpole --seed 3 --set learner.n_steps=64 --set learner.total_steps=10240 \
@@ -341,7 +339,7 @@ fn training_twice_as_long_through_a_resume_equals_training_straight() {
     let place = Place::new();
     let half = "--set learner.total_steps=5120";
     finish(learner(&place, half), [actor(&place, "a")]);
-    learner(&place, half).finish(10 * SECOND).with_code(0).saying(&["finished"]);
+    learner(&place, half).finish(PATIENCE).with_code(0).saying(&["finished"]);
     finish(learner(&place, ""), [actor(&place, "b")]).saying(&["resumed"]);
     // The half was evaluated at other updates.
     assert_eq!(Some(weights(&place).as_str()), undisturbed().lines().next());
@@ -360,8 +358,8 @@ fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
     wait_for_updates(&place.run("r"), 1);
     let asked = Instant::now();
     signal("TERM", first.id());
-    first.finish(10 * SECOND).with_code(130);
-    assert!(asked.elapsed() > 2 * SECOND, "no update was under way");
+    first.finish(PATIENCE).with_code(130);
+    assert!(asked.elapsed() > Duration::from_secs(2), "no update was under way");
     helper.finish(PATIENCE);
     assert_newest_checkpoint_is_of_the_end(&place);
 }
@@ -383,7 +381,7 @@ fn an_interrupted_learner_leaves_a_checkpoint_in_time_and_its_actor_comes_back_t
     let helper = actor(&place, "a");
     wait_for_updates(&place.run("r"), 6);
     signal("TERM", first.id());
-    first.finish(5 * SECOND).with_code(130);
+    first.finish(SOON).with_code(130);
     // Dismissed, it ends well: a service manager that starts only what failed again would leave it at that.
     helper.finish(PATIENCE).with_code(0);
     assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use tokio::runtime::Runtime;
 
 use crate::notifier::{self, coming_down, link, policy};
-use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, signal, wait_for_words};
+use crate::support::{PATIENCE, Place, Running, WRONG_INPUT, gaps, signal, wait_for_words};
 
 /// Time between two observations.
 const PAUSE: Duration = Duration::from_millis(20);
@@ -199,12 +199,6 @@ fn what_a_robot_observes_on_its_own_key_is_recorded_and_a_restart_of_the_notifie
         assert_eq!(session["difference"], Value::Null);
         assert!(session["replayed"]["messages"].as_u64() > Some(1), "{session}");
     }
-    // Nobody waits for a recorder: on a machine with too much to do something may be missing beside, and that is told.
-    let gaps = |session: &Value| -> Vec<String> {
-        let gaps = session["gaps"].as_array().unwrap().iter();
-        let gaps = gaps.map(|gap| gap.as_str().unwrap().to_owned());
-        gaps.filter(|gap| !gap.contains("missing")).collect()
-    };
     assert_eq!(gaps(before), [""; 0]);
     assert_eq!(gaps(after), ["the notifier was started again, and what came before is not told"]);
     assert!(after["observations_not_compared"].as_u64() > Some(0), "{after}");

@@ -1,13 +1,9 @@
 //! A supervisor and its processes: they live together, and none is left behind.
 
-use std::time::Duration;
-
 use crate::support::{
-    PATIENCE, Place, Running, checkpoints, children, family, is_alive, result, signal, updates,
-    wait_for_updates, wait_for_words, wait_until,
+    BEFORE_DEADLINE, PATIENCE, Place, Running, SOON, checkpoints, children, family, is_alive,
+    result, signal, updates, wait_for_updates, wait_for_words, wait_until,
 };
-
-const SECOND: Duration = Duration::from_secs(1);
 
 /// A run that does not end by itself while a test looks at it.
 const LONG: &str = "up -c cartpole --name r --actors 2 --set learner.n_steps=32 --set learner.total_steps=100000000 \
@@ -32,7 +28,7 @@ fn a_killed_supervisor_leaves_no_orphan() {
     let place = Place::new();
     let (supervisor, processes) = start(&place);
     supervisor.kill();
-    wait_until("every process is gone", 6 * SECOND, || are_gone(&processes));
+    wait_until("every process is gone", PATIENCE, || are_gone(&processes));
     let names = std::fs::read_dir(place.path()).unwrap().map(|entry| entry.unwrap().file_name());
     let is_ours = |name: &std::ffi::OsString| name.to_string_lossy().starts_with("leadtime-");
     let left: Vec<_> = names.filter(is_ours).collect();
@@ -44,7 +40,7 @@ fn an_interrupted_supervisor_takes_everything_down_within_five_seconds() {
     let place = Place::new();
     let (supervisor, processes) = start(&place);
     signal("INT", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(130);
+    supervisor.finish(SOON).with_code(130);
     assert!(are_gone(&processes));
     assert!(!checkpoints(&place.run("r")).is_empty());
 }
@@ -54,7 +50,7 @@ fn a_drained_supervisor_ends_well_and_its_run_can_go_on() {
     let place = Place::new();
     let (supervisor, processes) = start(&place);
     signal("USR1", supervisor.id());
-    let ended = supervisor.finish(6 * SECOND).with_code(0);
+    let ended = supervisor.finish(PATIENCE).with_code(0);
     let told = ended.saying(&["asked to drain", "To go on from update"]).stderr;
     assert_eq!(told.matches("To go on from update").count(), 1, "{told}");
     assert!(are_gone(&processes));
@@ -68,7 +64,7 @@ fn a_supervisor_that_is_drained_while_it_chooses_a_lag_ends_well_and_begins_no_r
     let supervisor = place.start(&[LONG, "--choose-lag --set learner.mode=lag"]);
     wait_for_words(&supervisor, "Trying learner.lag = 1");
     signal("USR1", supervisor.id());
-    let ended = supervisor.finish(6 * SECOND).with_code(0);
+    let ended = supervisor.finish(PATIENCE).with_code(0);
     ended.saying(&["asked to drain", "No lag is chosen, and no run is begun."]);
     assert!(!place.run("r").exists());
 }
@@ -80,7 +76,7 @@ fn the_trials_of_a_lag_are_no_runs_of_the_directory_that_is_named() {
     let supervisor = place.start(&[LONG, choose]);
     wait_for_words(&supervisor, "Trying learner.lag = 2");
     signal("USR1", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(0);
+    supervisor.finish(PATIENCE).with_code(0);
     assert!(!place.path().join("elsewhere").exists());
 }
 
@@ -93,7 +89,7 @@ fn a_lag_is_tried_for_a_fork_and_without_the_actors_that_are_to_join_the_run() {
     // The first trial has found the weights, and made updates.
     wait_for_words(&supervisor, "Trying learner.lag = 2");
     signal("USR1", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(0);
+    supervisor.finish(PATIENCE).with_code(0);
     place.finish(&[LONG, "--choose-lag --set learner.mode=lag --fork nobody"]).with_code(2);
 }
 
@@ -108,7 +104,7 @@ fn a_smoke_that_is_drained_ends_in_order_and_has_not_passed() {
     wait_until("a run is under way", PATIENCE, under_way);
     let processes = children(smoke.id());
     signal("USR1", smoke.id());
-    let ended = smoke.finish(6 * SECOND).with_code(130);
+    let ended = smoke.finish(PATIENCE).with_code(130);
     ended.saying(&["asked to drain", "To go on from update"]);
     assert!(are_gone(&processes));
 }
@@ -119,7 +115,7 @@ fn a_process_that_hangs_is_killed_before_the_supervisor_ends() {
     let (supervisor, processes) = start(&place);
     signal("STOP", processes[0]);
     signal("INT", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(130).saying(&["did not end in time and are killed"]);
+    supervisor.finish(PATIENCE).with_code(130).saying(&["did not end in time and are killed"]);
     assert!(are_gone(&processes));
 }
 
@@ -147,7 +143,7 @@ fn pinned_processes_keep_to_cpus_of_their_own() {
         wait_for_words(&supervisor, "Nothing is pinned: ");
     }
     signal("TERM", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(130);
+    supervisor.finish(PATIENCE).with_code(130);
 }
 
 #[test]
@@ -184,7 +180,7 @@ fn crashed_processes_are_started_again() {
     wait_for_words(&supervisor, "resumed");
     wait_for_updates(&place.run("r"), updates(&place.run("r")) + 1);
     signal("TERM", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(130);
+    supervisor.finish(PATIENCE).with_code(130);
 }
 
 #[test]
@@ -201,7 +197,7 @@ fn a_program_whose_file_is_gone_restarts_its_processes() {
     wait_for_updates(&place.run("r"), updates(&place.run("r")) + 6);
     assert!(actors.iter().all(|actor| is_alive(*actor)));
     signal("TERM", supervisor.id());
-    supervisor.finish(6 * SECOND).with_code(130).saying(&["process died; restarting it"]);
+    supervisor.finish(PATIENCE).with_code(130).saying(&["process died; restarting it"]);
 }
 
 #[test]
@@ -215,7 +211,7 @@ fn an_interrupted_evaluation_ends_at_once() {
         children(smoke.id()).is_empty() && { runs }.any(|run| finished(run.unwrap().path()))
     });
     signal("INT", smoke.id());
-    smoke.finish(2 * SECOND).with_code(130);
+    smoke.finish(BEFORE_DEADLINE).with_code(130);
 }
 
 #[test]
@@ -229,6 +225,6 @@ fn a_directory_that_is_not_the_supervisors_is_never_removed() {
     let learner = place.start(&args);
     wait_for_words(&learner, "listening");
     signal("INT", learner.id());
-    learner.finish(5 * SECOND).with_code(130);
+    learner.finish(PATIENCE).with_code(130);
     assert!(std::path::Path::new(&mine).exists());
 }

@@ -24,8 +24,10 @@ pub(crate) const PEER_LOST: i32 = 3;
 
 /// The longest that anything in these tests may take.
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
-/// The longest wait for one message.
+/// The longest wait for one message, and what tells a promise of seconds from a wait in vain on a busy machine.
 pub(crate) const SOON: Duration = Duration::from_secs(20);
+/// Who is asked to end and does not is ended after 4.4 seconds: what ends sooner has done so by itself.
+pub(crate) const BEFORE_DEADLINE: Duration = Duration::from_secs(4);
 /// Pause between two looks at a condition.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
@@ -329,6 +331,18 @@ pub(crate) fn record(run: &Path) -> Value {
 /// Returns the result in a run's record; null while it is unfinished.
 pub(crate) fn result(run: &Path) -> Value {
     record(run)["result"].clone()
+}
+
+/// How a client is driven that is recorded. Nobody waits for a recorder, and at full speed a busy machine may leave something out
+/// on the way to it.
+pub(crate) const PACE: &str = "--clock observation --seconds-per-step 0.03";
+
+/// Returns what a replay finds missing in a session, but for single messages, which a machine with too much to do may leave out at
+/// any pace: that is told as well.
+pub(crate) fn gaps(session: &Value) -> Vec<&str> {
+    let gaps = session["gaps"].as_array().expect("a replay tells the gaps");
+    let gaps = gaps.iter().map(|gap| gap.as_str().expect("in words"));
+    gaps.filter(|gap| !gap.contains("missing")).collect()
 }
 
 /// Opens the link of an actor that the test plays itself, and returns with it the hello that it may say.

@@ -3,7 +3,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
-use std::time::Duration;
 
 use serde_json::Value;
 
@@ -174,7 +173,7 @@ fn an_interrupted_trace_is_whole_and_a_killed_one_readable() {
     family(supervisor.id());
     wait_for_updates(&place.run("a"), 20);
     signal("INT", supervisor.id());
-    supervisor.finish(Duration::from_secs(6)).with_code(130).saying(&["Trace: a.json has "]);
+    supervisor.finish(PATIENCE).with_code(130).saying(&["Trace: a.json has "]);
     let (_, spans) = read(&fs::read_to_string(place.file("a.json")).unwrap());
     are_nested(&spans);
     assert!(spans.iter().filter(|span| span.name == "update").count() >= 20);

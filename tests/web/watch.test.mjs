@@ -49,7 +49,7 @@ test('a run at work: complete at once, on one screen, light and dark, wide and n
   await until('some history', async () => (await newest(first.page)) > 40);
   const opened = Date.now();
   const { page, complaints } = await chrome.open(link);
-  await complete(page, 10_000);
+  await complete(page, 20_000);
   t.diagnostic(`complete ${Date.now() - opened} ms after it was opened`);
   const points = await page.evaluate(() => document.querySelectorAll('.chart canvas').length);
   assert.equal(points, 8, 'eight charts');
@@ -135,10 +135,10 @@ test('an actor that is killed is struck through, and a learner that is killed co
   await complete(page);
   await until('both actors', async () => (await page.locator('#actors-rows tr:not(.gone)').count()) === 2);
   await actors[1].kill();
-  await page.locator('tr.gone[data-actor=b]').waitFor({ timeout: 5_000 });
+  await page.locator('tr.gone[data-actor=b]').waitFor({ timeout: 20_000 });
 
   await first.kill();
-  await until('the learner is missed', async () => (await state(page)).includes('lost'), 10_000);
+  await until('the learner is missed', async () => (await state(page)).includes('lost'));
   place.start(learner);
   await until('training again', async () => (await state(page)).includes('training'));
   const before = await newest(page);

