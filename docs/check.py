@@ -17,6 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 FULL = "--full" in sys.argv
+WRITE = "--write" in sys.argv
 PROGRAM = Path(sys.argv[-1])
 CORRIDOR = PROGRAM.parent / "examples/corridor"
 # The commands of these pages are run.
@@ -40,6 +41,8 @@ EXPECTED = {"leadtime runs compare one four": "weights: equal", "leadtime serve 
             "leadtime replay ": "replayed", "leadtime play examples/": ": session ",
             "leadtime smoke": "mechanics work", "leadtime report ": "Report:", "leadtime compare ": "trainings", "leadtime race": "whole trainings"}
 SECONDS = 300
+# A whole training, on a machine that has other work.
+TRAINING_SECONDS = 3_600
 
 
 def normal(line):
@@ -110,9 +113,9 @@ def free_port():
         return probe.getsockname()[1]
 
 
-def run(line, scratch):
+def run(line, scratch, seconds=SECONDS):
     return subprocess.run(["bash", "-c", line], cwd=scratch, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                          timeout=SECONDS)
+                          timeout=seconds)
 
 
 def shows(expected, printed):
@@ -153,6 +156,18 @@ def pair(scratch):
     return learner.returncode == 0 and actor.returncode == 0, told + actor.stderr
 
 
+def smoke(domain, scratch):
+    """Trains a world as README does; returns what the evaluation found, and keeps it if that is asked for."""
+    command = f"leadtime smoke --domain {domain} --json"
+    done = run(command, scratch, TRAINING_SECONDS)
+    assert done.returncode == 0, done.stdout + done.stderr
+    comparison = json.loads(done.stdout)["comparison"]
+    if WRITE:
+        kept = {"command": command, "program": run("leadtime version", scratch).stdout.splitlines(), "comparison": comparison}
+        (ROOT / f"docs/results/smoke_{domain}.json").write_text(json.dumps(kept, indent=1) + "\n")
+    return comparison
+
+
 def tables(scratch):
     """Trains the three worlds as README does, and compares its tables with the results."""
     readme = (ROOT / "README.md").read_text()
@@ -164,8 +179,8 @@ def tables(scratch):
     results = {}
     for domain, measure, cells in rows:
         if domain not in results:
-            results[domain] = json.loads(run(f"leadtime smoke --domain {domain} --json", scratch).stdout)
-        summaries = {summary["player"]: summary for summary in results[domain]["comparison"]["summaries"]}
+            results[domain] = smoke(domain, scratch)
+        summaries = {summary["player"]: summary for summary in results[domain]["summaries"]}
         for said, player in zip(re.search(cells, readme).group(1).split(" | "), ("trained", "unaided", "heuristic", "untrained")):
             interval = next(it for it in summaries[player]["measures"] if it["name"] == measure)["interval"]
             figure = re.search(r"\d*\.?\d+", said)
@@ -189,6 +204,37 @@ def check(line, output, is_run, scratch):
     return None
 
 
+def check_pages(scratch):
+    """Checks every command of every page; returns what is wrong, how many were run, of how many the options were read, and what was
+    not run."""
+    failures, n_run, n_options, skipped = [], 0, 0, []
+    prepare(scratch)
+    for page in [*PAGES, *RECORDS]:
+        write_examples(page, scratch)
+        for line, (output, reason) in commands(page).items():
+            place = f"{page.relative_to(ROOT)}: {line}"
+            reason = reason or next((why for what, why in SKIPPED.items() if what in line), None)
+            if re.match(r"leadtime (actor|learner)\b", line):
+                reason = reason or "run as a pair"
+            if re.match(r"leadtime (serve|drive|record|replay .*--connect)\b", line) and "--describe" not in line:
+                reason = reason or "run as a pair by the tests"
+            if reason:
+                skipped.append(f"{place} ({reason})")
+                if not line.startswith("leadtime") or re.search(r"[<$|]", line):
+                    continue
+            if page in RECORDS and not line.startswith("leadtime"):
+                continue
+            is_mention = re.fullmatch(r"leadtime \w+", line) and not re.search(r"smoke|runs|config|compare|check", line)
+            is_run = page not in RECORDS and not is_mention and not reason
+            n_run, n_options = n_run + is_run, n_options + (not is_run)
+            wrong = check(line, output, is_run, scratch)
+            failures += [f"{place}\n    {wrong}"] if wrong else []
+    good, told = pair(scratch)
+    if not good:
+        failures.append(f"learner and actor in two terminals:\n    {told.strip()[-300:]}")
+    return failures, n_run, n_options, skipped
+
+
 def main():
     failures, n_run, n_options, skipped = [], 0, 0, []
     os.environ.pop("RUST_LOG", None)
@@ -200,30 +246,8 @@ def main():
             (scratch / "bin" / program.name).symlink_to(program)
         os.environ["PATH"] = f"{scratch}/bin:{os.environ['PATH']}"
         os.environ["HOME"] = directory
-        prepare(scratch)
-        for page in [*PAGES, *RECORDS]:
-            write_examples(page, scratch)
-            for line, (output, reason) in commands(page).items():
-                place = f"{page.relative_to(ROOT)}: {line}"
-                reason = reason or next((why for what, why in SKIPPED.items() if what in line), None)
-                if re.match(r"leadtime (actor|learner)\b", line):
-                    reason = reason or "run as a pair"
-                if re.match(r"leadtime (serve|drive|record|replay .*--connect)\b", line) and "--describe" not in line:
-                    reason = reason or "run as a pair by the tests"
-                if reason:
-                    skipped.append(f"{place} ({reason})")
-                    if not line.startswith("leadtime") or re.search(r"[<$|]", line):
-                        continue
-                if page in RECORDS and not line.startswith("leadtime"):
-                    continue
-                is_mention = re.fullmatch(r"leadtime \w+", line) and not re.search(r"smoke|runs|config|compare|check", line)
-                is_run = page not in RECORDS and not is_mention and not reason
-                n_run, n_options = n_run + is_run, n_options + (not is_run)
-                wrong = check(line, output, is_run, scratch)
-                failures += [f"{place}\n    {wrong}"] if wrong else []
-        good, told = pair(scratch)
-        if not good:
-            failures.append(f"learner and actor in two terminals:\n    {told.strip()[-300:]}")
+        if not WRITE:
+            failures, n_run, n_options, skipped = check_pages(scratch)
         if FULL:
             failures += tables(scratch)
     print(f"{n_run} commands run, the options of {n_options} checked, {len(skipped)} not run:")

@@ -1,13 +1,18 @@
 #!/usr/bin/env bash
-# Runs every command that README and docs show. Usage: docs/check.sh [--full] [PROGRAM]
+# Runs every command that README and docs show. Usage: docs/check.sh [--full [--write]] [PROGRAM]
 #
 # PROGRAM is the built `leadtime` (default: target/release/leadtime, built first). Long trainings are shortened to one
 # update, studies to their plan; --full also trains the three worlds and compares README's tables with what comes out.
+# --full --write does nothing but that, and keeps what came out in docs/results/smoke_*.json, where tests/docs.rs finds it.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 full=()
-if [ "${1:-}" = --full ]; then full=(--full); shift; fi
+if [ "${1:-}" = --full ]; then
+    full=(--full)
+    shift
+    if [ "${1:-}" = --write ]; then full+=(--write); shift; fi
+fi
 program=${1:-}
 if [ -z "$program" ]; then
     cargo build --release --locked -p leadtime

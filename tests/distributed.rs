@@ -1,11 +1,14 @@
 //! Learner and actors over a unix socket, in one process: whatever happens on the way, the weights are those of a
 //! loop without any network, and the books balance.
+//!
+//! Most of it is CartPole with dense layers; the notifiers' worlds, with listeners and recurrent states that move, come after it.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::path::Path;
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -14,15 +17,17 @@ use leadtime_learner::{
     Build, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig, PolicyEvaluator,
     ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
 };
-use leadtime_link::{ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings, StartKey};
+use leadtime_link::{
+    ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings, RUNTIME_VARIABLE, StartKey,
+};
 use leadtime_policy::{Parameters, Policy};
 use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
 use leadtime_ppo::{LearnerSettings, Mode, TrainError, Trainer};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, EnvAssignment};
 use leadtime_proto::{
-    ActorId, CheckedRollout, EnvId, EnvSpec, Epoch, Header, Iteration, PolicySpec, PolicyVersion,
-    Rollout, RunName, RunSpec, Sequence, TaskSpec, codec, fakes,
+    ActorId, CheckedRollout, Encoder, EnvId, EnvSpec, Epoch, Header, Iteration, PolicySpec,
+    PolicyVersion, Rollout, RunName, RunSpec, Sequence, TaskSpec, codec, fakes,
 };
 use tokio::runtime::Handle;
 use tokio::sync::watch;
@@ -83,14 +88,14 @@ struct PlainRun {
 }
 
 impl PlainRun {
-    fn new(settings: LearnerSettings) -> Self {
-        let spec = run_spec(settings.mode);
+    fn new(spec: RunSpec, settings: LearnerSettings) -> Self {
         let mut worker = Worker::new(spec.clone());
-        for env_id in (0..N_ENVS as u32).map(EnvId) {
+        for env_id in (0..settings.n_envs as u32).map(EnvId) {
             let beginning = EnvAssignment { env_id, iteration: Iteration(0), snapshot: Vec::new() };
-            worker.insert(leadtime_worlds::builtin().build(&task()).unwrap(), &beginning).unwrap();
+            let environment = leadtime_worlds::builtin().build(&spec.task).unwrap();
+            worker.insert(environment, &beginning).unwrap();
         }
-        let trainer = Trainer::new(&spec.policy, &settings, RUN_SEED).unwrap();
+        let trainer = Trainer::new(&spec.policy, &settings, spec.seed).unwrap();
         let mut run = Self { settings, spec, worker, trainer, policies: BTreeMap::new() };
         run.publish();
         run
@@ -108,7 +113,8 @@ impl PlainRun {
         let acting = self.policies.get_mut(&version).unwrap();
         let rollouts = self.worker.collect(acting, version, &mut ()).to_vec();
         let (env, n_steps) = (&self.spec.env, self.settings.n_steps);
-        let check = |rollout: Rollout| rollout.check(env, n_steps, 0).unwrap();
+        let recurrent_dim = self.spec.policy.recurrent_dim();
+        let check = |rollout: Rollout| rollout.check(env, n_steps, recurrent_dim).unwrap();
         rollouts.into_iter().map(check).collect()
     }
 
@@ -139,7 +145,12 @@ fn reference(mode: Mode) -> [u8; 32] {
 
 /// The same after so many of its updates.
 fn reference_after(mode: Mode, n_updates: u64) -> [u8; 32] {
-    let mut run = PlainRun::new(settings(mode));
+    reference_of(&run_spec(mode), &settings(mode), n_updates)
+}
+
+/// The same of any run.
+fn reference_of(spec: &RunSpec, settings: &LearnerSettings, n_updates: u64) -> [u8; 32] {
+    let mut run = PlainRun::new(spec.clone(), settings.clone());
     run.reach(n_updates).unwrap();
     run.digest()
 }
@@ -147,7 +158,7 @@ fn reference_after(mode: Mode, n_updates: u64) -> [u8; 32] {
 /// Makes updates until one diverges, and from there on with the usual steps. Returns how many were good, the weights after
 /// them, and those at the end, if it does not diverge again.
 fn diverging_reference(large: LearnerSettings) -> (u64, [u8; 32], Result<[u8; 32], TrainError>) {
-    let mut run = PlainRun::new(large);
+    let mut run = PlainRun::new(run_spec(large.mode), large);
     let (state, rollouts) = loop {
         let (state, rollouts) = (run.trainer.state().unwrap(), run.collect());
         assert!(state.version().0 < N_UPDATES, "it is to diverge");
@@ -168,6 +179,7 @@ struct Witness {
     n_updates: watch::Sender<u64>,
     held_at: watch::Receiver<u64>,
     events: Events,
+    policy: PolicySpec,
 }
 
 impl ProgressSink for Witness {
@@ -186,7 +198,7 @@ impl ProgressSink for Witness {
     }
 
     fn on_policies(&mut self, last: &RatedPolicy, _best: &RatedPolicy) {
-        Parameters::from_safetensors(&last.weights, &policy_spec()).unwrap();
+        Parameters::from_safetensors(&last.weights, &self.policy).unwrap();
     }
 
     fn on_held_out(&mut self, _history: &[HeldOutMeans]) {}
@@ -292,7 +304,8 @@ impl Learner {
         let (progress, n_updates) = watch::channel(0);
         let (held_at, hold) = watch::channel(u64::MAX);
         let events = Arc::new(Mutex::new(Vec::new()));
-        let sink = Witness { n_updates: progress, held_at: hold, events: Arc::clone(&events) };
+        let (policy, heard) = (config.spec.policy.clone(), Arc::clone(&events));
+        let sink = Witness { n_updates: progress, held_at: hold, events: heard, policy };
         let stop = CancellationToken::new();
         let run = leadtime_learner::run(
             config,
@@ -384,6 +397,11 @@ fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
     tokio::spawn(run)
 }
 
+/// So many actors, each with a name of its own.
+fn crew(directory: &Path, n_actors: usize) -> Vec<ActorTask> {
+    (0..n_actors).map(|i| actor(directory, &format!("a{i}"), 1)).collect()
+}
+
 async fn dismissed(actor: ActorTask) -> ActorReport {
     let joined = tokio::time::timeout(PATIENCE, actor).await.expect("in time");
     let report = joined.unwrap().unwrap();
@@ -393,9 +411,15 @@ async fn dismissed(actor: ActorTask) -> ActorReport {
 
 async fn undisturbed(mode: Mode, n_actors: usize) -> RunReport {
     let directory = tempfile::tempdir().unwrap();
-    let learner = Learner::start(directory.path(), mode, n_actors, 1);
-    let actors: Vec<ActorTask> =
-        (0..n_actors).map(|i| actor(directory.path(), &format!("a{i}"), 1)).collect();
+    let config = Learner::config(directory.path(), mode, n_actors, 1);
+    undisturbed_run(directory.path(), config).await
+}
+
+/// A run by as many actors as it asks for.
+async fn undisturbed_run(directory: &Path, config: LearnerConfig) -> RunReport {
+    let (n_actors, n_updates) = (config.actors_min, config.settings.n_updates());
+    let learner = Learner::start_with(config);
+    let actors = crew(directory, n_actors);
     let report = learner.report().await;
     let mut journal = 0;
     for actor in actors {
@@ -405,7 +429,7 @@ async fn undisturbed(mode: Mode, n_actors: usize) -> RunReport {
     }
     assert_eq!(report.books.published, journal, "the learner's books and the actors' journals");
     assert_eq!(report.end, RunEnd::Finished);
-    assert_eq!(report.n_updates, N_UPDATES);
+    assert_eq!(report.n_updates, n_updates);
     report
 }
 
@@ -421,6 +445,105 @@ async fn one_two_or_four_actors_learn_what_a_loop_without_a_network_learns() {
         }
     }
     assert_ne!(reference(Mode::Sync), reference(Mode::Lag), "the modes differ, so digests tell");
+}
+
+/// A run of a few updates in a notifier's world: listeners who differ, and observations that are normalised.
+fn notifier_run(domain: &str) -> (RunSpec, LearnerSettings) {
+    let delay = r#"{"uniform": {"low": 1, "high": 5, "drawn": "per_episode"}}"#;
+    let text = format!(r#"{{"human": {{"reaction_delay": {delay}}}}}"#);
+    let task = TaskSpec { domain: domain.to_owned(), settings: text };
+    let environment = leadtime_worlds::builtin().build(&task).unwrap();
+    let encoder = match (domain, environment.entity_history()) {
+        ("lander", _) => Encoder::Lstm { projection: 8, state: 16 },
+        (_, Some(history)) => Encoder::EgoAttention(history.attention(8, 2)),
+        (_, None) => Encoder::Identity,
+    };
+    let env = environment.spec().clone();
+    let policy =
+        PolicySpec { encoder, normalize_observations: true, ..PolicySpec::dense(&env, &[16]) };
+    let (n_envs, n_steps, mode): (usize, usize, _) = (4, 16, Mode::Lag);
+    let total_steps = 4 * (n_envs * n_steps) as u64;
+    let settings = LearnerSettings { n_envs, n_steps, total_steps, ..settings(mode) };
+    let (n_steps, schedule) = (n_steps as u32, settings.schedule());
+    (RunSpec { seed: RUN_SEED, task, env, policy, n_steps, schedule }, settings)
+}
+
+/// Who is killed was given states of the world, of the listener and of the network, and others go on from those that it handed in.
+#[tokio::test(flavor = "multi_thread")]
+async fn in_every_world_actors_learn_what_a_loop_learns_also_when_one_is_killed() {
+    let encoders = ["lander", "highway", "steakhouse"].map(|domain| {
+        let (spec, _) = notifier_run(domain);
+        (matches!(spec.policy.encoder, Encoder::EgoAttention(_)), spec.policy.recurrent_dim() > 0)
+    });
+    assert_eq!(encoders, [(false, true), (true, false), (false, false)], "one of each kind");
+    for domain in ["lander", "highway", "steakhouse"] {
+        let (spec, settings) = notifier_run(domain);
+        let (n_updates, n_envs) = (settings.n_updates(), settings.n_envs as u64);
+        let expected = reference_of(&spec, &settings, n_updates);
+        let config = |directory: &Path, n_actors: usize| LearnerConfig {
+            spec: spec.clone(),
+            settings: settings.clone(),
+            // What the lag lets an actor make that has all of them.
+            window: 12,
+            ..Learner::config(directory, settings.mode, n_actors, 1)
+        };
+        for n_actors in [1, 3] {
+            let directory = tempfile::tempdir().unwrap();
+            let config = config(directory.path(), n_actors);
+            let report = undisturbed_run(directory.path(), config).await;
+            assert_eq!(report.digest, expected, "{domain} with {n_actors} actors");
+            assert_eq!((report.reproducible, report.books.trained), (true, n_updates * n_envs));
+        }
+        let directory = tempfile::tempdir().unwrap();
+        // By then nobody can have made the rollouts of the last update: they need the policy of the second.
+        let mut learner = Learner::start_with(config(directory.path(), 2));
+        learner.hold_at(1);
+        let events = Arc::clone(&learner.events);
+        let (stays, victim) = (actor(directory.path(), "a", 1), actor(directory.path(), "b", 1));
+        learner.reach(1).await;
+        victim.abort();
+        assert!(victim.await.unwrap_err().is_cancelled(), "it was at work");
+        learner.let_go();
+        let report = learner.report_with(stays).await;
+        assert_eq!(report.digest, expected, "{domain}, and one is killed");
+        assert_eq!((report.reproducible, report.books.trained), (true, n_updates * n_envs));
+        assert_reported(
+            &events,
+            |event| matches!(event, RunEvent::ActorLeft { actor, n_envs, .. } if actor.as_str() == "b" && *n_envs > 0),
+        );
+    }
+}
+
+/// In a process of its own: so many connections in one process need more threads than the network library has, unless a variable
+/// says so, which cannot be set while threads run.
+#[tokio::test(flavor = "multi_thread")]
+async fn sixty_four_actors_learn_what_a_loop_without_a_network_learns() {
+    const N_ACTORS: usize = 64;
+    let threads = leadtime_link::runtime();
+    if std::env::var(RUNTIME_VARIABLE).ok().as_ref() != Some(&threads) {
+        let mut own = Command::new(std::env::current_exe().unwrap());
+        own.args(["--exact", "sixty_four_actors_learn_what_a_loop_without_a_network_learns"]);
+        let done = own.env(RUNTIME_VARIABLE, threads).output().unwrap();
+        let told = String::from_utf8_lossy(&done.stdout);
+        let failure = String::from_utf8_lossy(&done.stderr);
+        assert!(done.status.success() && told.contains("1 passed"), "{told}\n{failure}");
+        return;
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let config = Learner::config(directory.path(), Mode::Sync, N_ACTORS, 1);
+    let (n_steps, total_steps) = (8, (2 * N_ACTORS * 8) as u64);
+    let settings = LearnerSettings { n_envs: N_ACTORS, n_steps, total_steps, ..config.settings };
+    let spec = RunSpec { n_steps: n_steps as u32, ..config.spec };
+    let expected = reference_of(&spec, &settings, 2);
+    let learner = Learner::start_with(LearnerConfig { spec, settings, ..config });
+    let actors = crew(directory.path(), N_ACTORS);
+    let report = learner.report().await;
+    // How fast so many are dismissed depends on the machine.
+    for actor in &actors {
+        actor.abort();
+    }
+    assert_eq!(report.digest, expected);
+    assert_eq!((report.reproducible, report.books.trained), (true, 2 * N_ACTORS as u64));
 }
 
 /// Evaluations do not move a weight, and a run without them has its last policy as its best.

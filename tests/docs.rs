@@ -1,11 +1,14 @@
 //! What pages show of the program's output is what it prints.
 //!
 //! A page has `<!-- begin COMMAND -->`, the output, `<!-- end -->`. `UPDATE_DOCS=1 cargo test -p leadtime --test docs` writes the
-//! outputs anew.
+//! outputs anew. What README's tables say of whole trainings is in `docs/results/smoke_*.json`, which `docs/check.sh --full --write`
+//! writes anew.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+
+use serde_json::Value;
 
 const BEGIN: &str = "<!-- begin ";
 const END: &str = "<!-- end -->";
@@ -70,6 +73,93 @@ fn every_page_of_results_says_what_made_its_figures() {
         n_pages += 1;
     }
     assert!(n_pages >= 18, "{n_pages} pages");
+}
+
+/// The rows of README's tables of `smoke`: the domain, how the row begins, and its measure.
+const SMOKE_ROWS: [(&str, &str, &str); 6] = [
+    ("lander", "success: on the pad", "success"),
+    ("lander", "enters danger", "enter_danger"),
+    ("lander", "notifications per step", "notifications_per_step"),
+    ("lander", "follow-through, of initiated", "followed_of_initiated"),
+    ("highway", "`highway`: ", "success"),
+    ("steakhouse", "`steakhouse`: ", "success"),
+];
+/// The columns of these tables; in some there is the first minus the second as well.
+const PLAYERS: [&str; 4] = ["trained", "unaided", "heuristic", "untrained"];
+
+/// Returns what `smoke` found in a domain.
+fn smoke_result(domain: &str) -> Value {
+    let path = docs().join(format!("results/smoke_{domain}.json"));
+    let text = fs::read_to_string(&path);
+    let remedy = "docs/check.sh --full --write writes it";
+    let text = text.unwrap_or_else(|error| panic!("{}: {error}; {remedy}", path.display()));
+    serde_json::from_str::<Value>(&text).expect("it is JSON")["comparison"].take()
+}
+
+/// Finds the object of a list whose keys have these values.
+fn find<'a>(list: &'a Value, keys: &[(&str, &str)]) -> &'a Value {
+    let has = |item: &&Value| keys.iter().all(|(key, value)| item[*key] == **value);
+    let list = list.as_array().expect("it is a list");
+    list.iter().find(has).unwrap_or_else(|| panic!("{keys:?} is not there"))
+}
+
+/// Returns by how much training raises success.
+fn gain(found: &Value) -> &Value {
+    let keys = [("measure", "success"), ("of", "trained"), ("minus", "unaided")];
+    &find(&found["differences"], &keys)["interval"]
+}
+
+/// Returns whether a cell has an estimate, and the bounds if it gives them, each as it is when rounded to the digits that are given.
+fn is_shown(cell: &str, interval: &Value) -> bool {
+    if cell == "–" {
+        return interval.is_null();
+    }
+    let plain = cell.replace(['*', '[', ']', ','], " ");
+    let said: Vec<&str> = plain.split_whitespace().collect();
+    let fits = |(word, name): (&&str, &str)| {
+        // A whole number stands for one with two decimals.
+        let n_digits = word.split_once('.').map_or(2, |(_, decimals)| decimals.len());
+        let slack = 0.51 * 10_f64.powi(-(n_digits as i32));
+        let (number, value) = (word.parse::<f64>().ok(), interval[name].as_f64());
+        number.zip(value).is_some_and(|(number, value)| (number - value).abs() <= slack)
+    };
+    matches!(said.len(), 1 | 3) && said.iter().zip(["estimate", "low", "high"]).all(fits)
+}
+
+#[test]
+fn the_readme_has_what_smoke_found() {
+    let readme = fs::read_to_string(docs().join("../README.md")).unwrap();
+    for (domain, row, measure) in SMOKE_ROWS {
+        let found = smoke_result(domain);
+        let of = |player: &&str| {
+            let summary = find(&found["summaries"], &[("player", *player)]);
+            &find(&summary["measures"], &[("name", measure)])["interval"]
+        };
+        let line = readme.lines().find(|line| line.starts_with(&format!("| {row}")));
+        let line = line.unwrap_or_else(|| panic!("README has no row `{row}`"));
+        let cells: Vec<&str> = line.trim_matches('|').split('|').skip(1).map(str::trim).collect();
+        assert!(matches!(cells.len(), 4 | 5), "{line}");
+        for (cell, interval) in cells.iter().zip(PLAYERS.iter().map(of).chain([gain(&found)])) {
+            assert!(is_shown(cell, interval), "README says {cell} in `{row}`, it is {interval}");
+        }
+    }
+    let found = smoke_result("lander");
+    let (_, said) = readme.split_once("Success rises by ").unwrap();
+    let (said, _) = said.split_once(']').unwrap();
+    let risen = gain(&found);
+    assert!(is_shown(said, risen), "README says that success rises by {said}], it is {risen}");
+}
+
+#[test]
+fn cells_are_compared_by_the_digits_that_they_show() {
+    let interval = serde_json::json!({"estimate": 0.985, "low": 0.0, "high": 1.0});
+    for same in ["**.99** [.00, 1]", ".985", "+0.99 [0, 1.00]"] {
+        assert!(is_shown(same, &interval), "{same}");
+    }
+    for other in [".98 [.01, 1]", ".99 [.00, .99]", "1", "–", "", ".99 [.00]", "none"] {
+        assert!(!is_shown(other, &interval), "{other}");
+    }
+    assert!(is_shown("–", &Value::Null) && !is_shown("0", &Value::Null));
 }
 
 #[test]

@@ -168,7 +168,13 @@ struct World {
     actors: Vec<Option<ActorModel>>,
     trained: Vec<Trained>,
     n_lost_snapshots: u64,
+    /// What went wrong on purpose, and how often.
+    faults: BTreeMap<&'static str, u64>,
 }
+
+/// Every fault that [`World::chaos`] brings about.
+const FAULTS: [&str; 5] =
+    ["learner killed", "actor killed", "connection lost", "actor deaf", "false order"];
 
 impl World {
     fn new(seed: u64) -> Self {
@@ -185,6 +191,7 @@ impl World {
             actors: Vec::new(),
             trained: Vec::new(),
             n_lost_snapshots: 0,
+            faults: FAULTS.map(|fault| (fault, 0)).into(),
         };
         if let Some(lag) = world.dice(5).checked_sub(1) {
             world.spec.schedule = Schedule::Lag(lag);
@@ -640,14 +647,29 @@ impl World {
         let which = self.dice(n_alive.max(1)) as usize;
         match self.keys().get(which) {
             _ if what == 0 => self.end_learner(),
-            Some(key) if what == 1 => self.end_actor(key),
+            Some(key) if what == 1 => self.kill_actor(key),
             Some(key) if what == 2 => self.cut(key),
-            Some(key) if what == 3 => self.alive(key).unwrap().deaf_until = self.now + 10_000,
+            Some(key) if what == 3 => self.deafen(key),
             Some(key) if what == 4 => self.give_false_order(key),
             _ => {}
         }
         let pause = self.dice(6_000);
         self.at(pause, Self::chaos);
+    }
+
+    /// Notes that a fault has happened.
+    fn count(&mut self, fault: &str) {
+        *self.faults.get_mut(fault).unwrap() += 1;
+    }
+
+    fn kill_actor(&mut self, key: &ActorKey) {
+        self.count("actor killed");
+        self.end_actor(key);
+    }
+
+    fn deafen(&mut self, key: &ActorKey) {
+        self.count("actor deaf");
+        self.alive(key).unwrap().deaf_until = self.now + 10_000;
     }
 
     /// An actor process is gone; another one starts in its place.
@@ -661,6 +683,7 @@ impl World {
 
     fn end_learner(&mut self) {
         let Some(learner) = self.learner.take() else { return };
+        self.count("learner killed");
         for key in self.keys() {
             let noticed = self.dice(2_000);
             let input = ActorInput::LearnerLeft(learner.incarnation);
@@ -673,6 +696,7 @@ impl World {
     /// The connection between the learner and an actor is lost for a while.
     fn cut(&mut self, key: &ActorKey) {
         let Some(learner) = self.learner_start() else { return };
+        self.count("connection lost");
         let (from, to) = (key.clone(), key.clone());
         self.learn(|learner| learner.coordinator.left(from.0, from.1));
         self.arrive(&to, ActorInput::LearnerLeft(learner));
@@ -698,6 +722,7 @@ impl World {
         assignment.check().unwrap();
         let (control, reply) = (Control::Assign(assignment), self.number());
         let Some(learner) = self.learner_start() else { return };
+        self.count("false order");
         self.arrive(key, ActorInput::Order { learner, control, reply });
     }
 
@@ -749,7 +774,8 @@ fn reference(schedule: Schedule, n_envs: usize, n_updates: usize) -> Vec<Trained
 
 #[test]
 fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
-    let mut n_compared = 0;
+    let (mut n_compared, mut n_lost) = (0, 0);
+    let mut faults = BTreeMap::new();
     for seed in 0..N_RUNS {
         let mut world = World::new(seed).run();
         let (schedule, n_updates) = (world.spec.schedule, world.trained.len());
@@ -766,6 +792,11 @@ fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
             assert_eq!(world.trained, expected, "seed {seed}");
             n_compared += 1;
         }
+        n_lost += world.n_lost_snapshots;
+        world.faults.into_iter().for_each(|(fault, n)| *faults.entry(fault).or_insert(0) += n);
     }
     assert!(n_compared >= N_RUNS / 4, "only {n_compared} of {N_RUNS} could be compared");
+    // On average more than one of each kind per run.
+    assert!(faults.values().all(|n| *n > N_RUNS / 2), "some hardly ever happened: {faults:?}");
+    assert!(n_lost > 0, "no state was ever lost");
 }

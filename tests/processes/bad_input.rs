@@ -12,6 +12,8 @@ use crate::support::{
     Finished, PATIENCE, PEER_LOST, Place, Running, WRONG_INPUT, checkpoints, record, repository,
     wait_for_words,
 };
+use leadtime_link::ForeignLearner;
+use leadtime_proto::RunName;
 
 /// A small CartPole run that takes a few seconds.
 const SMALL: &str = "-c cartpole --set learner.n_steps=32 --set learner.total_steps=2560 --set run.checkpoint_every=4";
@@ -288,6 +290,22 @@ fn nobody_at_the_address_is_a_lost_peer() {
     let place = Place::new();
     let actor = ["actor --connect-timeout 500ms --connect", &place.endpoint("nobody")];
     place.finish(&actor).with_code(PEER_LOST).saying(&["nobody.sock", "start a learner"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_learner_of_another_release_ends_an_actor_that_says_what_to_do() {
+    let remedy = "run the same release on both sides";
+    let told_by_it =
+        "the message has protocol 6, its receiver speaks 77: run the same release on both sides";
+    for (no, told) in [(Some(told_by_it), told_by_it), (None, "the message has protocol 77")] {
+        let place = Place::new();
+        let (run, endpoint) = (RunName::new("r").unwrap(), place.endpoint("learner"));
+        let learner = ForeignLearner::open(&run, endpoint.parse().unwrap(), no).await.unwrap();
+        let actor = || place.finish(&["actor --connect", &endpoint]);
+        let ended = tokio::task::block_in_place(actor).with_code(PEER_LOST);
+        ended.saying(&[told, remedy]);
+        drop(learner);
+    }
 }
 
 #[test]

@@ -11,8 +11,8 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use crate::support::{
-    Finished, PATIENCE, Place, Running, SOON, checkpoints, journal, outcome, record, result,
-    signal, updates, wait_for_updates, wait_for_words, wait_until,
+    Finished, PATIENCE, PEER_LOST, Place, Running, SOON, checkpoints, journal, outcome, record,
+    result, signal, updates, wait_for_updates, wait_for_words, wait_until,
 };
 use serde_json::Value;
 
@@ -99,14 +99,30 @@ fn undisturbed() -> &'static str {
 #[test]
 fn an_actor_killed_and_replaced_changes_nothing() {
     let place = Place::new();
-    let learner = learner(&place, "--set run.actors_min=2");
+    // It must not be over before the replacement has taken part.
+    let learner = learner(&place, &format!("{LONG} --set run.actors_min=2"));
     let (victim, survivor) = (actor(&place, "a"), actor(&place, "b"));
-    wait_for_updates(&place.run("r"), 5);
+    let run = place.run("r");
+    wait_for_updates(&run, 5);
     victim.kill();
+    wait_for_words(&learner, "actor left: a");
     let replacement = actor(&place, "c");
-    finish(learner, [survivor]).saying(&["actor left: a"]);
-    replacement.finish(PATIENCE);
-    assert_eq!(digest(&place), undisturbed());
+    wait_for_words(&learner, "actor joined: c");
+    wait_for_updates(&run, updates(&run) + 3);
+    end_as_undisturbed(learner);
+    drop((survivor, replacement));
+}
+
+#[test]
+fn an_actor_looks_for_its_learner_for_as_long_as_it_is_told_and_then_says_that_it_is_lost() {
+    let place = Place::new();
+    let (learner, endpoint) = (learner(&place, LONG), place.endpoint("learner"));
+    let helper = place.start(&["actor --reconnect-timeout 1s --connect", &endpoint]);
+    wait_for_updates(&place.run("r"), 1);
+    learner.kill();
+    let looked = "the learner is gone; looking for it (--reconnect-timeout 1s)";
+    let lost = "the learner of run `r` was lost and did not come back within 1s";
+    helper.finish(PATIENCE).with_code(PEER_LOST).saying(&[looked, lost]);
 }
 
 #[test]
@@ -345,23 +361,41 @@ fn training_twice_as_long_through_a_resume_equals_training_straight() {
     assert_eq!(Some(weights(&place).as_str()), undisturbed().lines().next());
 }
 
-#[test]
-fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
-    let place = Place::new();
-    // A thousand passes take longer than the end of a run waits for an update, and no checkpoint is due before the end.
+/// Starts a run whose updates take longer than its end waits for one, and waits for the first. No checkpoint is due before the end.
+fn in_a_long_update(place: &Place) -> (Running, Running) {
     // With a lag the rollouts of the next update are there already, so it begins at once.
     let passes = "--set learner.mode=lag --set learner.n_steps=1024 --set learner.n_epochs=1000 \
         --set learner.learning_rate=1e-6";
     let rare = "--set run.checkpoint_every=1000 --set run.checkpoint_seconds=3600";
-    let first = learner(&place, &format!("{LONG} {passes} {rare}"));
-    let helper = actor(&place, "a");
+    let learner = learner(place, &format!("{LONG} {passes} {rare}"));
+    let helper = actor(place, "a");
     wait_for_updates(&place.run("r"), 1);
+    (learner, helper)
+}
+
+#[test]
+fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
+    let place = Place::new();
+    let (first, helper) = in_a_long_update(&place);
     let asked = Instant::now();
     signal("TERM", first.id());
     first.finish(PATIENCE).with_code(130);
     assert!(asked.elapsed() > Duration::from_secs(2), "no update was under way");
     helper.finish(PATIENCE);
     assert_newest_checkpoint_is_of_the_end(&place);
+}
+
+#[test]
+fn a_learner_that_is_asked_twice_ends_at_once_and_saves_nothing() {
+    let place = Place::new();
+    let (learner, helper) = in_a_long_update(&place);
+    signal("TERM", learner.id());
+    wait_for_words(&learner, "asked to terminate");
+    signal("TERM", learner.id());
+    learner.finish(PATIENCE).with_code(130);
+    // Asked once, it waits for the update for two seconds, and saves the state before it.
+    assert!(checkpoints(&place.run("r")).is_empty(), "it has taken its time");
+    drop(helper);
 }
 
 /// Fails unless the last update that was made was saved.
@@ -375,8 +409,8 @@ fn assert_newest_checkpoint_is_of_the_end(place: &Place) {
 #[test]
 fn an_interrupted_learner_leaves_a_checkpoint_in_time_and_its_actor_comes_back_to_the_next() {
     let place = Place::new();
-    // Four times as long as the others, so that it is under way when the signal comes.
-    let total = "--set learner.total_steps=40960";
+    // Four times as long as the others, so that it is under way when the signal comes; no checkpoint is due before.
+    let total = "--set learner.total_steps=40960 --set run.checkpoint_every=1000";
     let first = learner(&place, total);
     let helper = actor(&place, "a");
     wait_for_updates(&place.run("r"), 6);

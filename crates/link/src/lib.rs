@@ -64,6 +64,8 @@ mod discovery;
 mod endpoint;
 mod error;
 mod event;
+#[cfg(feature = "fakes")]
+mod fakes;
 mod intake;
 mod latest;
 mod learner;
@@ -96,6 +98,8 @@ pub use archive::{Archive, HistoryMaker};
 pub use endpoint::Endpoint;
 pub use error::{Error, NetworkFault, RUN_IS_ENDING, Result};
 pub use event::{ActorEvent, LearnerEvent, Payload, QueuePermit};
+#[cfg(feature = "fakes")]
+pub use fakes::ForeignLearner;
 pub use intake::RefusalCounts;
 pub use latest::Events;
 pub use learner::LearnerLink;
