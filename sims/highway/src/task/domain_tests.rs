@@ -120,6 +120,49 @@ fn merging_cars_and_the_ego_do_not_see_each_other_until_they_settle() {
     assert!(!lane.forbidden && lane.local(car.position)[1].abs() < 0.5);
 }
 
+/// Who sees whom is the listener's business: what the notifier's script and its numbers tell of a ramp is the same.
+#[test]
+fn a_merging_car_is_one_whoever_sees_it() {
+    use crate::world::Blindness::{Always, Never, UntilOnCarriageway, UntilSettled};
+    let lead = |task: &HighwayDomain| {
+        let names = task.script_quantities();
+        let mut numbers = vec![f32::NAN; names.len()];
+        task.observe_for_scripts(&mut numbers);
+        numbers[names.iter().position(|it| it.name == "merger.lead").unwrap()]
+    };
+    for blindness in [UntilSettled, UntilOnCarriageway, Always, Never] {
+        let mut task = start(
+            &settings(|s| {
+                s.traffic.cars.clear();
+                (s.ego.lane, s.merging.blindness) = (Some(1), blindness);
+            }),
+            0,
+        );
+        let warned = (0..6).any(|_| {
+            task.advance(None);
+            task.heuristic().is_some()
+        });
+        assert!(warned && lead(&task).abs() < 100.0, "{blindness:?}: {}", lead(&task));
+        assert_eq!(task.traffic.sees(0, 1), blindness == Never, "{blindness:?}");
+
+        // Both are beyond the first ramp, the car in the middle of a lane: it comes from no ramp that lies ahead.
+        let network = task.traffic.network();
+        let car =
+            |place, role| Vehicle::new(network, place, 0.0, 30.0).with_idm(30.0).with_role(role);
+        let cars = [car([350.0, 0.0], CarRole::Ego), car([400.0, 4.0], CarRole::Merging)];
+        task.traffic.vehicles = cars.to_vec();
+        task.traffic.step(1.0 / 15.0);
+        assert_eq!((lead(&task), task.heuristic()), (1000.0, None), "{blindness:?}");
+        assert_eq!(task.traffic.sees(0, 1), blindness != Always, "{blindness:?}");
+        assert_eq!(task.traffic.sees(1, 0), blindness != Always, "{blindness:?}");
+        let mut bytes = Vec::new();
+        task.snapshot(&mut bytes);
+        task.traffic.vehicles.truncate(1);
+        task.restore(&bytes).unwrap();
+        assert_eq!(task.traffic.sees(0, 1), blindness != Always, "{blindness:?}");
+    }
+}
+
 #[test]
 fn speeds_climb_the_grid_from_the_actual_speed() {
     let mut task = start(&settings(empty), 0);

@@ -40,8 +40,10 @@ pub enum CarRole {
     Traffic,
     /// The car of the listener.
     Ego,
-    /// On its way from a ramp: it does not see the ego, and the ego trusts it to yield.
+    /// From a ramp, and not settled on the carriageway: it does not see the ego, and the ego trusts it to yield.
     Merging,
+    /// From a ramp, and settled, where it and the ego never see each other ([`Always`](super::Blindness::Always)).
+    Merged,
 }
 
 /// A car on the road, with its driver.
