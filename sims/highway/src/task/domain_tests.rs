@@ -339,6 +339,51 @@ fn broken_snapshots_are_refused() {
     }
 }
 
+/// Finite they are, and no rollout may hold what becomes of them.
+#[test]
+fn a_snapshot_of_a_drive_that_cannot_have_been_is_refused() {
+    let mut task = start(&HighwayWorldSettings::default(), 0);
+    task.advance(None);
+    let mut bytes = Vec::new();
+    task.snapshot(&mut bytes);
+    let mut refused = |change: fn(&mut HighwaySnapshot)| {
+        let mut snapshot: HighwaySnapshot = read_snapshot(&bytes).unwrap();
+        change(&mut snapshot);
+        let mut changed = Vec::new();
+        write_snapshot(&snapshot, &mut changed);
+        match task.restore(&changed) {
+            Ok(()) => None,
+            Err(SnapshotError::Mismatch { what }) => Some(what),
+            Err(other) => panic!("{other}"),
+        }
+    };
+    assert_eq!(refused(|_| {}), None);
+    assert_eq!(refused(|s| s.progress.pieces[4] = -1e300), Some("progress"));
+    assert_eq!(refused(|s| s.progress.penalties[1] = 1e10), Some("progress"));
+    assert_eq!(refused(|s| s.progress.hardest_braking = 1e300), Some("progress"));
+    assert_eq!(refused(|s| s.vehicles[EGO].speed = 1e8), Some("cars"));
+    assert_eq!(refused(|s| s.vehicles[1].target_speed = f64::NAN), Some("cars"));
+}
+
+#[test]
+fn every_step_of_a_drive_can_be_restored() {
+    for (episode, topic) in [(0, None), (1, None), (2, Some(SLOW_DOWN)), (3, Some(SPEED_UP))] {
+        let mut task = start(&HighwayWorldSettings::default(), episode);
+        let mut other = start(&HighwayWorldSettings::default(), 99);
+        loop {
+            let reaction = topic.map(|topic| ReactionStep { topic, first: false });
+            let end = task.advance(reaction).end;
+            let mut bytes = Vec::new();
+            task.snapshot(&mut bytes);
+            other.restore(&bytes).unwrap();
+            assert_eq!(other.progress, task.progress);
+            if end.is_some() {
+                break;
+            }
+        }
+    }
+}
+
 #[test]
 fn the_notifiers_observation_is_a_history_of_entities() {
     let task = HighwayDomain::new(&HighwayWorldSettings::default()).unwrap();
