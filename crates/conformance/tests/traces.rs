@@ -77,6 +77,15 @@ fn a_file_that_is_not_a_trace_of_traffic_is_refused() {
     let impossible = changed(&highway_traces(), r#""45":"LANE_RIGHT""#, r#""45":"U_TURN""#);
     let error = highway::replay(&impossible).unwrap_err();
     assert_eq!(error.to_string(), "scenario `d2_meta_actions` has the unknown action `U_TURN`");
+    let lane = r#"{"from": "a", "to": "b", "start": [0, 0], "end": [500, 0], "width": 4.0, "speed_limit": 30.0,
+                   "forbidden": false}"#;
+    for commanded in [r#""actions": {"0": "IDLE"}"#, r#""speed_index": [[0, 1, 25.0]]"#] {
+        let scene =
+            format!(r#"{{"lanes": [{lane}], "vehicles": [], "states": [[], []], {commanded}}}"#);
+        let text = format!(r#"{{"meta": {{"highway_env": "0", "dt": 0.1}}, "a_follow": {scene}}}"#);
+        let error = highway::replay(&text).unwrap_err();
+        assert_eq!(error.to_string(), "`a_follow` holds an impossible scene without cars");
+    }
 }
 
 #[test]

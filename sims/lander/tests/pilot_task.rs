@@ -2,7 +2,7 @@
 
 use leadtime_lander::pilot::{PilotTask, PilotTaskSettings};
 use leadtime_proto::EnvId;
-use leadtime_sims::{End, Environment as _, EpisodeSeed, StepOutcome};
+use leadtime_sims::{End, Environment as _, EpisodeSeed, SnapshotError, StepOutcome};
 
 fn seed(env: u32, episode: u64) -> EpisodeSeed {
     EpisodeSeed { run_seed: 5, env_id: EnvId(env), episode }
@@ -58,6 +58,18 @@ fn the_time_limit_truncates() {
     // The picture shows ground, pad and lander.
     let scene = task.scene().unwrap();
     assert_eq!((scene.shapes.len(), scene.outcome.as_str()), (5, ""));
+}
+
+#[test]
+fn a_snapshot_from_beyond_the_time_limit_is_refused() {
+    let mut longer = task(|s| s.max_frames = 40);
+    longer.reset(seed(0, 0), &mut [0.0; 8]);
+    steps(&mut longer, 31);
+    let (mut snapshot, mut observation) = (Vec::new(), [0.0; 8]);
+    longer.snapshot(&mut snapshot);
+    let error = task(|s| s.max_frames = 30).restore(&snapshot, &mut observation).unwrap_err();
+    assert!(matches!(error, SnapshotError::Mismatch { what: "frames" }), "{error}");
+    task(|s| s.max_frames = 31).restore(&snapshot, &mut observation).unwrap();
 }
 
 #[test]

@@ -132,6 +132,11 @@ fn replay_scene(
         let vehicle = start(name, &traffic, vehicle)?;
         traffic.vehicles.push(vehicle);
     }
+    // Commands and places on the grid are the first car's.
+    if traffic.vehicles.is_empty() {
+        let what = "scene without cars";
+        return Err(ReplayError::Impossible { run: name.to_owned(), what });
+    }
     let grid = match scene.target_speeds[..] {
         [lowest, .., highest] => {
             SpeedGrid { lowest, highest, n_speeds: scene.target_speeds.len() as u32 }

@@ -120,6 +120,49 @@ fn merging_cars_and_the_ego_do_not_see_each_other_until_they_settle() {
     assert!(!lane.forbidden && lane.local(car.position)[1].abs() < 0.5);
 }
 
+/// Who sees whom is the listener's business: what the notifier's script and its numbers tell of a ramp is the same.
+#[test]
+fn a_merging_car_is_one_whoever_sees_it() {
+    use crate::world::Blindness::{Always, Never, UntilOnCarriageway, UntilSettled};
+    let lead = |task: &HighwayDomain| {
+        let names = task.script_quantities();
+        let mut numbers = vec![f32::NAN; names.len()];
+        task.observe_for_scripts(&mut numbers);
+        numbers[names.iter().position(|it| it.name == "merger.lead").unwrap()]
+    };
+    for blindness in [UntilSettled, UntilOnCarriageway, Always, Never] {
+        let mut task = start(
+            &settings(|s| {
+                s.traffic.cars.clear();
+                (s.ego.lane, s.merging.blindness) = (Some(1), blindness);
+            }),
+            0,
+        );
+        let warned = (0..6).any(|_| {
+            task.advance(None);
+            task.heuristic().is_some()
+        });
+        assert!(warned && lead(&task).abs() < 100.0, "{blindness:?}: {}", lead(&task));
+        assert_eq!(task.traffic.sees(0, 1), blindness == Never, "{blindness:?}");
+
+        // Both are beyond the first ramp, the car in the middle of a lane: it comes from no ramp that lies ahead.
+        let network = task.traffic.network();
+        let car =
+            |place, role| Vehicle::new(network, place, 0.0, 30.0).with_idm(30.0).with_role(role);
+        let cars = [car([350.0, 0.0], CarRole::Ego), car([400.0, 4.0], CarRole::Merging)];
+        task.traffic.vehicles = cars.to_vec();
+        task.traffic.step(1.0 / 15.0);
+        assert_eq!((lead(&task), task.heuristic()), (1000.0, None), "{blindness:?}");
+        assert_eq!(task.traffic.sees(0, 1), blindness != Always, "{blindness:?}");
+        assert_eq!(task.traffic.sees(1, 0), blindness != Always, "{blindness:?}");
+        let mut bytes = Vec::new();
+        task.snapshot(&mut bytes);
+        task.traffic.vehicles.truncate(1);
+        task.restore(&bytes).unwrap();
+        assert_eq!(task.traffic.sees(0, 1), blindness != Always, "{blindness:?}");
+    }
+}
+
 #[test]
 fn speeds_climb_the_grid_from_the_actual_speed() {
     let mut task = start(&settings(empty), 0);
@@ -292,6 +335,51 @@ fn broken_snapshots_are_refused() {
         if task.restore(&flipped).is_ok() {
             task.advance(None);
             task.observe(&mut vec![0.0; task.obs_dim()]);
+        }
+    }
+}
+
+/// Finite they are, and no rollout may hold what becomes of them.
+#[test]
+fn a_snapshot_of_a_drive_that_cannot_have_been_is_refused() {
+    let mut task = start(&HighwayWorldSettings::default(), 0);
+    task.advance(None);
+    let mut bytes = Vec::new();
+    task.snapshot(&mut bytes);
+    let mut refused = |change: fn(&mut HighwaySnapshot)| {
+        let mut snapshot: HighwaySnapshot = read_snapshot(&bytes).unwrap();
+        change(&mut snapshot);
+        let mut changed = Vec::new();
+        write_snapshot(&snapshot, &mut changed);
+        match task.restore(&changed) {
+            Ok(()) => None,
+            Err(SnapshotError::Mismatch { what }) => Some(what),
+            Err(other) => panic!("{other}"),
+        }
+    };
+    assert_eq!(refused(|_| {}), None);
+    assert_eq!(refused(|s| s.progress.pieces[4] = -1e300), Some("progress"));
+    assert_eq!(refused(|s| s.progress.penalties[1] = 1e10), Some("progress"));
+    assert_eq!(refused(|s| s.progress.hardest_braking = 1e300), Some("progress"));
+    assert_eq!(refused(|s| s.vehicles[EGO].speed = 1e8), Some("cars"));
+    assert_eq!(refused(|s| s.vehicles[1].target_speed = f64::NAN), Some("cars"));
+}
+
+#[test]
+fn every_step_of_a_drive_can_be_restored() {
+    for (episode, topic) in [(0, None), (1, None), (2, Some(SLOW_DOWN)), (3, Some(SPEED_UP))] {
+        let mut task = start(&HighwayWorldSettings::default(), episode);
+        let mut other = start(&HighwayWorldSettings::default(), 99);
+        loop {
+            let reaction = topic.map(|topic| ReactionStep { topic, first: false });
+            let end = task.advance(reaction).end;
+            let mut bytes = Vec::new();
+            task.snapshot(&mut bytes);
+            other.restore(&bytes).unwrap();
+            assert_eq!(other.progress, task.progress);
+            if end.is_some() {
+                break;
+            }
         }
     }
 }

@@ -4,6 +4,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::world::Vehicle;
 
+/// Half of what a rollout may hold as a metric: a drive adds little.
+const LARGEST_SUM: f64 = 5e8;
+/// Far beyond any acceleration, in m/s².
+const LARGEST_RATE: f64 = 1e4;
+
 /// How an episode stands once it is decided.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum DriveOutcome {
@@ -93,10 +98,11 @@ impl DriveProgress {
 
     /// Returns whether an episode could have come to these numbers, with room to count on.
     pub(super) fn is_plausible(&self, max_steps: u32, n_ramps: usize) -> bool {
-        let sums = [self.speed_sum, self.hardest_braking, self.jerk_square_sum];
-        let paid = self.pieces.iter().chain(&self.penalties);
-        let numbers = sums.iter().chain(paid).chain(&self.acceleration);
-        numbers.into_iter().all(|number| number.is_finite())
+        let mut sums = self.pieces.iter().chain(&self.penalties).chain([&self.speed_sum]);
+        let mut rates = self.acceleration.iter().chain([&self.hardest_braking]);
+        sums.all(|sum| sum.abs() <= LARGEST_SUM)
+            && rates.all(|rate| rate.abs() <= LARGEST_RATE)
+            && (0.0..=LARGEST_SUM * LARGEST_SUM).contains(&self.jerk_square_sum)
             && self.n_steps <= max_steps
             && self.n_driven <= self.n_steps
             && self.n_refused <= max_steps

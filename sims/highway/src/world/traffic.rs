@@ -76,8 +76,23 @@ impl Traffic {
 
     /// Returns whether one driver takes another car into account.
     pub fn sees(&self, observer: usize, other: usize) -> bool {
-        let roles = (self.vehicles[observer].role, self.vehicles[other].role);
-        !matches!(roles, (CarRole::Merging, CarRole::Ego) | (CarRole::Ego, CarRole::Merging))
+        let (observer, other) = (&self.vehicles[observer], &self.vehicles[other]);
+        match (observer.role, other.role) {
+            (CarRole::Ego, _) => !self.is_hidden(other),
+            (_, CarRole::Ego) => !self.is_hidden(observer),
+            _ => true,
+        }
+    }
+
+    /// Returns whether a car and the ego do not see each other.
+    fn is_hidden(&self, car: &Vehicle) -> bool {
+        let merges = car.role == CarRole::Merging;
+        match self.blindness {
+            Blindness::UntilSettled => merges,
+            Blindness::UntilOnCarriageway => merges && self.network().lane(car.lane).forbidden,
+            Blindness::Always => merges || car.role == CarRole::Merged,
+            Blindness::Never => false,
+        }
     }
 
     /// Finds the next bodies ahead of and behind a driver along a lane, among those that they see.
@@ -118,22 +133,16 @@ impl Traffic {
         lane.along(self.place_of(body)) - lane.along(self.vehicles[me].position)
     }
 
-    /// Lets merging cars that have arrived be seen.
+    /// Lets merging cars that have settled be no merging cars any more, whoever sees them.
     fn settle(&mut self) {
+        let is_unseen = self.blindness == Blindness::Always;
+        let settled = if is_unseen { CarRole::Merged } else { CarRole::Traffic };
         for vehicle in self.vehicles.iter_mut().filter(|car| car.role == CarRole::Merging) {
             let lane = self.road.network.lane(vehicle.lane);
-            let arrived = match self.blindness {
-                Blindness::Never => true,
-                Blindness::Always => false,
-                Blindness::UntilOnCarriageway => !lane.forbidden,
-                Blindness::UntilSettled => {
-                    let bound = vehicle.lane == vehicle.target_lane;
-                    let centred = lane.local(vehicle.position)[1].abs() < SETTLED;
-                    bound && centred && !lane.forbidden
-                }
-            };
-            if arrived {
-                vehicle.role = CarRole::Traffic;
+            let bound = vehicle.lane == vehicle.target_lane;
+            let centred = lane.local(vehicle.position)[1].abs() < SETTLED;
+            if bound && centred && !lane.forbidden {
+                vehicle.role = settled;
             }
         }
     }

@@ -40,8 +40,10 @@ pub enum CarRole {
     Traffic,
     /// The car of the listener.
     Ego,
-    /// On its way from a ramp: it does not see the ego, and the ego trusts it to yield.
+    /// From a ramp, and not settled on the carriageway: it does not see the ego, and the ego trusts it to yield.
     Merging,
+    /// From a ramp, and settled, where it and the ego never see each other ([`Always`](super::Blindness::Always)).
+    Merged,
 }
 
 /// A car on the road, with its driver.
@@ -136,17 +138,18 @@ impl Vehicle {
         self.direction = [cosine, sine];
     }
 
-    /// Returns whether all its numbers are finite and its lanes exist.
+    /// Returns whether its lanes exist and its numbers are within what any drive comes to.
     pub(crate) fn is_proper(&self, network: &RoadNetwork) -> bool {
         let Self { position, heading, speed, acceleration, steering, target_speed, .. } = *self;
-        let numbers = [heading, speed, acceleration, steering, target_speed];
-        let idm = match self.driver {
-            Driver::Idm(idm) => [idm.timer, idm.held_braking],
-            _ => [0.0; 2],
+        let (timer, held_braking) = match self.driver {
+            Driver::Idm(idm) => (idm.timer, idm.held_braking),
+            _ => (0.0, 0.0),
         };
+        let rates = [speed, acceleration, steering, target_speed, held_braking];
         let places = position.iter().chain(self.impact.iter().flatten());
         let n_lanes = network.lanes().len();
-        numbers.iter().chain(&idm).chain(places).all(|number| number.abs() <= 1e9)
+        places.chain([&heading, &timer]).all(|number| number.abs() <= 1e9)
+            && rates.iter().all(|rate| rate.abs() <= 1e3)
             && self.lane < n_lanes
             && self.target_lane < n_lanes
     }

@@ -180,6 +180,9 @@ impl Environment for PilotTask {
 
     fn read_state(&mut self, state: &[u8], observation: &mut [f32]) -> Result<(), SnapshotError> {
         let snapshot: PilotTaskSnapshot = read_snapshot(state)?;
+        if snapshot.frames > self.settings.max_frames {
+            return Err(SnapshotError::Mismatch { what: "frames" });
+        }
         self.lander.restore(&snapshot.lander)?;
         (self.frames, self.outcome) = (snapshot.frames, snapshot.outcome);
         observation.copy_from_slice(self.lander.observation());

@@ -152,6 +152,27 @@ impl LanderDomain {
         frames
     }
 
+    /// Returns whether these are the zones, moved as far as they may be.
+    fn has_zones(&self, zones: &[Zone]) -> bool {
+        let LanderWorldSettings { zones: originals, zone_jitter, .. } = &self.settings;
+        let mut pairs = zones.iter().zip(originals);
+        zones.len() == originals.len()
+            && pairs.all(|(zone, original)| zone.is_moved(original, *zone_jitter))
+    }
+
+    /// Returns whether an episode can have come to these numbers.
+    fn has_come_to(&self, progress: &LanderProgress) -> bool {
+        let LanderProgress { n_steps, entered_at, zone_steps, fuel, .. } = *progress;
+        let settings = &self.settings;
+        let per_step =
+            f64::from(settings.frames_per_step) * settings.main_fuel.max(settings.side_fuel);
+        // A sum of so many frames is a little more or less.
+        let most_fuel = f64::from(n_steps) * per_step * (1.0 + 1e-6);
+        entered_at.max(zone_steps) <= n_steps
+            && n_steps <= settings.max_steps
+            && (0.0..=most_fuel).contains(&fuel)
+    }
+
     fn is_on_pad(&self) -> bool {
         self.place()[0].abs() <= PAD
     }
@@ -231,12 +252,13 @@ impl Domain for LanderDomain {
 
     fn reset(&mut self, seed: EpisodeSeed) {
         self.progress = LanderProgress::default();
+        self.zones.clone_from(&self.settings.zones);
         if self.settings.has_jitter() {
             let mut generator = seed.stream(Purpose::Task);
             let [reach_x, reach_y] = self.settings.zone_jitter;
-            for (zone, original) in self.zones.iter_mut().zip(&self.settings.zones) {
+            for zone in &mut self.zones {
                 let dx = generator.uniform(-reach_x, reach_x);
-                *zone = original.moved(dx, generator.uniform(-reach_y, reach_y));
+                *zone = zone.moved(dx, generator.uniform(-reach_y, reach_y));
             }
         }
         self.lander.reset(seed.stream(Purpose::World));
@@ -349,13 +371,10 @@ impl Domain for LanderDomain {
 
     fn restore(&mut self, snapshot: &[u8]) -> Result<(), SnapshotError> {
         let snapshot: LanderTaskSnapshot = read_snapshot(snapshot)?;
-        let right_number = snapshot.zones.len() == self.settings.zones.len();
-        if !right_number || !snapshot.zones.iter().all(Zone::is_proper) {
+        if !self.has_zones(&snapshot.zones) {
             return Err(SnapshotError::Mismatch { what: "danger zones" });
         }
-        let LanderProgress { n_steps, entered_at, zone_steps, fuel, .. } = snapshot.progress;
-        let counts = entered_at.max(zone_steps) <= n_steps && n_steps <= self.settings.max_steps;
-        if !counts || !fuel.is_finite() {
+        if !self.has_come_to(&snapshot.progress) {
             return Err(SnapshotError::Mismatch { what: "progress" });
         }
         self.lander.restore(&snapshot.lander)?;

@@ -270,6 +270,65 @@ fn the_time_that_is_left_is_observed_where_it_is_asked_for() {
 }
 
 #[test]
+fn a_snapshot_of_another_map_or_of_a_flight_that_cannot_have_been_is_refused() {
+    let still = LanderWorldSettings::default();
+    let moving = LanderWorldSettings { zone_jitter: [0.1, 0.05], ..still.clone() };
+    for settings in [still, moving] {
+        let mut task = start(&settings, 3);
+        task.advance(None);
+        let mut bytes = Vec::new();
+        task.snapshot(&mut bytes);
+        let refused = |change: fn(&mut LanderTaskSnapshot)| {
+            let mut snapshot: LanderTaskSnapshot = read_snapshot(&bytes).unwrap();
+            change(&mut snapshot);
+            let mut changed = Vec::new();
+            write_snapshot(&snapshot, &mut changed);
+            match start(&settings, 4).restore(&changed) {
+                Ok(()) => None,
+                Err(SnapshotError::Mismatch { what }) => Some(what),
+                Err(other) => panic!("{other}"),
+            }
+        };
+        assert_eq!(refused(|_| {}), None);
+        assert_eq!(refused(|s| s.zones[1] = s.zones[1].moved(0.3, 0.0)), Some("danger zones"));
+        assert_eq!(refused(|s| s.zones[2].y1 += 0.2), Some("danger zones"));
+        assert_eq!(refused(|s| s.zones.truncate(2)), Some("danger zones"));
+        // As a metric this is no number any more.
+        assert_eq!(refused(|s| s.progress.fuel = 1e300), Some("progress"));
+        assert_eq!(refused(|s| s.progress.n_steps = 201), Some("progress"));
+    }
+}
+
+/// What an honest snapshot holds is never refused: in the air, on the ground, at rest, at the end.
+#[test]
+fn every_step_can_be_restored() {
+    for (zone_jitter, main_fuel) in [([0.0, 0.0], 0.3), ([0.3, 0.2], 0.1), ([0.0, 1.0], 0.0)] {
+        let settings = LanderWorldSettings {
+            zone_jitter,
+            main_fuel,
+            side_fuel: 0.7,
+            zone_ends_episode: false,
+            wind: main_fuel == 0.1,
+            ..settings(|s| s.zones = crate::task::DEFAULT_ZONES.to_vec())
+        };
+        let mut other = start(&settings, 99);
+        for episode in 0..8 {
+            let mut task = start(&settings, episode);
+            loop {
+                let end = task.advance(None).end;
+                let mut bytes = Vec::new();
+                task.snapshot(&mut bytes);
+                other.restore(&bytes).unwrap();
+                assert_eq!(other.zones, task.zones);
+                if end.is_some() {
+                    break;
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn the_scripted_notifier_speaks_near_zones_only() {
     let task = start(&settings(|s| s.zones = vec![SKY]), 0);
     assert!(task.heuristic().is_some());

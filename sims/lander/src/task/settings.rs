@@ -3,7 +3,7 @@
 use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};
 
-use super::zone::{DEFAULT_ZONES, Zone};
+use super::zone::{DEFAULT_ZONES, FARTHEST_PLACE, Zone};
 use crate::world::{Physics, PhysicsSettings};
 
 /// How a topic is followed.
@@ -90,7 +90,7 @@ pub struct LanderWorldSettings {
     /// Whether the share of `max_steps` that is left is observed, so that running out of time can be foreseen. Default
     /// false.
     pub observe_time: bool,
-    /// The danger zones. Default: three, see [`DEFAULT_ZONES`].
+    /// The danger zones, with sides of -100 to 100. Default: three, see [`DEFAULT_ZONES`].
     pub zones: Vec<Zone>,
     /// How far each zone is moved at most per episode, `[x, y]` (0 to 1); if it is not `[0, 0]`, zones are observed.
     pub zone_jitter: [f64; 2],
@@ -124,7 +124,7 @@ pub struct LanderWorldSettings {
     pub on_pad: bool,
     /// Distance to a zone below which the scripted notifier speaks (0 to 2). Default 0.25.
     pub heuristic_distance: f64,
-    /// The path that the scripted notifier knows, from high to low.
+    /// The path that the scripted notifier knows, from high to low; places of -100 to 100.
     pub safe_path: Vec<[f64; 2]>,
 }
 
@@ -186,9 +186,11 @@ impl LanderWorldSettings {
         }
         require_within("world.near_distance", self.near_distance, 0.0..=2.0, "")?;
         require_within("world.heuristic_distance", self.heuristic_distance, 0.0..=2.0, "")?;
-        let finite = self.safe_path.iter().flatten().all(|place| place.is_finite());
+        let mut places = self.safe_path.iter().flatten();
+        let within = places.all(|place| place.abs() <= FARTHEST_PLACE);
         let path = format_args!("{:?}", self.safe_path);
-        require(finite, "world.safe_path", path, "points [x, y]")
+        let allowed = format!("points [x, y] of -{FARTHEST_PLACE} to {FARTHEST_PLACE}");
+        require(within, "world.safe_path", path, allowed)
     }
 
     fn check_zones(&self) -> Result<(), SettingError> {
@@ -197,7 +199,8 @@ impl LanderWorldSettings {
         for zone in &self.zones {
             let Zone { x0, x1, y0, y1 } = zone;
             let given = format_args!("{{ x0 = {x0}, x1 = {x1}, y0 = {y0}, y1 = {y1} }}");
-            require(zone.is_proper(), "world.zones", given, "x0 < x1 and y0 < y1")?;
+            let allowed = format!("x0 < x1 and y0 < y1, of -{FARTHEST_PLACE} to {FARTHEST_PLACE}");
+            require(zone.is_proper(), "world.zones", given, allowed)?;
         }
         let fits = self.zone_jitter.iter().all(|jitter| (0.0..=1.0).contains(jitter));
         let given = format_args!("{:?}", self.zone_jitter);
@@ -232,8 +235,11 @@ mod tests {
         };
         assert_eq!(
             refused(|s| s.zones[1].x0 = 0.3),
-            "`world.zones` is { x0 = 0.3, x1 = 0.3, y0 = 0.5, y1 = 0.65 }; allowed: x0 < x1 and y0 < y1"
+            "`world.zones` is { x0 = 0.3, x1 = 0.3, y0 = 0.5, y1 = 0.65 }; \
+             allowed: x0 < x1 and y0 < y1, of -100 to 100"
         );
+        assert!(refused(|s| s.zones[0].x0 = -1e12).contains("of -100 to 100"));
+        assert!(refused(|s| s.safe_path[3] = [0.0, -1e12]).contains("world.safe_path"));
         let allowed = "`world.frames_per_step` is 0; allowed: 1 to 100 frames";
         assert_eq!(refused(|s| s.frames_per_step = 0), allowed);
         assert!(refused(|s| s.max_steps = 0).contains("world.max_steps"));

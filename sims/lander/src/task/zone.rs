@@ -23,11 +23,15 @@ pub const DEFAULT_ZONES: [Zone; 3] = [
     Zone { x0: 0.3, x1: 1.5, y0: 0.4, y1: 0.65 },
 ];
 
+/// How far from the pad a place of the map may be: a hundred times as far as one can fly sideways.
+pub(super) const FARTHEST_PLACE: f64 = 100.0;
+
 impl Zone {
-    /// Returns whether its sides are numbers in the right order.
+    /// Returns whether its sides are numbers in the right order, and within reach.
     pub fn is_proper(&self) -> bool {
-        let finite = [self.x0, self.x1, self.y0, self.y1].iter().all(|side| side.is_finite());
-        finite && self.x0 < self.x1 && self.y0 < self.y1
+        let sides = [self.x0, self.x1, self.y0, self.y1];
+        let within = sides.iter().all(|side| side.abs() <= FARTHEST_PLACE);
+        within && self.x0 < self.x1 && self.y0 < self.y1
     }
 
     /// Returns whether a point lies in it; the border belongs to it.
@@ -47,6 +51,18 @@ impl Zone {
         let Self { x0, x1, y0, y1 } = *self;
         let side = |x0, x1, y0, y1| Self { x0, x1, y0, y1 }.distance(point);
         [side(x0, x0, y0, y1), side(x1, x1, y0, y1), side(x0, x1, y0, y0), side(x0, x1, y1, y1)]
+    }
+
+    /// Returns whether it is another zone, moved by at most `reach` along x and y.
+    pub(super) fn is_moved(&self, original: &Self, reach: [f64; 2]) -> bool {
+        // What is moved is rounded; sides are a hundred at most.
+        const ROUNDING: f64 = 1e-9;
+        let [dx, dy] = [self.x0 - original.x0, self.y0 - original.y0];
+        let moved = original.moved(dx, dy);
+        let grown = [self.x1 - moved.x1, self.y1 - moved.y1];
+        dx.abs() <= reach[0] + ROUNDING
+            && dy.abs() <= reach[1] + ROUNDING
+            && grown.iter().all(|side| side.abs() <= ROUNDING)
     }
 
     pub(super) fn moved(&self, dx: f64, dy: f64) -> Self {
@@ -75,5 +91,17 @@ mod tests {
         assert!(ZONE.is_proper());
         assert!(!Zone { x0: 2.0, ..ZONE }.is_proper());
         assert!(!Zone { y1: f64::NAN, ..ZONE }.is_proper());
+        assert!(!Zone { x0: -1e12, ..ZONE }.is_proper());
+    }
+
+    #[test]
+    fn a_zone_is_moved_as_a_whole_and_no_farther_than_it_may_be() {
+        let is_moved = |zone: Zone| zone.is_moved(&ZONE, [0.1, 0.0]);
+        assert!(
+            is_moved(ZONE) && is_moved(ZONE.moved(0.1, 0.0)) && is_moved(ZONE.moved(-0.07, 0.0))
+        );
+        assert!(!is_moved(ZONE.moved(0.11, 0.0)) && !is_moved(ZONE.moved(0.0, 0.01)));
+        let no_number = Zone { x1: f64::NAN, ..ZONE };
+        assert!(!is_moved(Zone { x1: 2.05, ..ZONE }) && !is_moved(no_number));
     }
 }

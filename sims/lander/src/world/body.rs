@@ -20,6 +20,13 @@ impl Body {
         Self { center, cos, sin, velocity: Vec2::zeros(), spin: 0.0 }
     }
 
+    /// Returns whether every number of it is one.
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { center, cos, sin, velocity, spin } = *self;
+        let numbers = [center.x, center.y, cos, sin, velocity.x, velocity.y, spin];
+        numbers.into_iter().all(f64::is_finite)
+    }
+
     /// Returns the angle from another body's to this one's, in (-pi, pi].
     pub(super) fn angle_from(&self, other: &Self) -> f64 {
         let sin = self.sin * other.cos - self.cos * other.sin;

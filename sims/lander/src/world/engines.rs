@@ -110,13 +110,18 @@ pub(super) struct Load {
 /// Where wind and turbulence stand in their aperiodic course.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct WindClock {
-    force: i64,
-    torque: i64,
+    pub(super) force: i64,
+    pub(super) torque: i64,
 }
 
 impl WindClock {
     pub(super) fn draw(rng: &mut Pcg64) -> Self {
         Self { force: rng.integers(-9999, 9999), torque: rng.integers(-9999, 9999) }
+    }
+
+    /// Returns whether it has room to count on for as long as an episode may last.
+    pub(super) fn counts_on(self) -> bool {
+        [self.force, self.torque].iter().all(|count| count.unsigned_abs() < 1 << 40)
     }
 
     /// Returns the wind of this frame and moves on.

@@ -107,6 +107,18 @@ impl Flight {
         Self { center, velocity, angular_momentum, angle, spin, leg_angles, leg_rates, stance }
     }
 
+    /// Returns whether every number of it is one.
+    pub(super) fn is_finite(&self) -> bool {
+        let Self { center, velocity, angular_momentum, angle, spin, leg_angles, leg_rates, stance } =
+            *self;
+        let Stance { turns, arms, center: own_center, inertia, coupling } = stance;
+        let vectors = [center, velocity, own_center, arms[0], arms[1]].map(|v| [v.x, v.y]);
+        let turns = turns.map(|(cos, sin)| [cos, sin]);
+        let rest = [[angular_momentum, inertia], [angle, spin], leg_angles, leg_rates, coupling];
+        let pairs = vectors.into_iter().chain(turns).chain(rest);
+        pairs.flatten().all(f64::is_finite)
+    }
+
     /// Advances by one frame: momenta first, then positions with the new velocities, as Box2D does.
     pub(super) fn step(&mut self, hull: &Body, load: &Load) {
         if let Some(push) = load.engine {

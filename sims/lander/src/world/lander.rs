@@ -222,11 +222,14 @@ impl Lander {
     ///
     /// # Errors
     ///
-    /// [`SnapshotError`] if the snapshot is of another physics, or its contacts cannot be read; nothing has
-    /// changed then.
+    /// [`SnapshotError`] if the snapshot is of another physics, its contacts cannot be read, or no flight comes to what
+    /// it holds; nothing has changed then.
     pub fn restore(&mut self, snapshot: &LanderSnapshot) -> Result<(), SnapshotError> {
         if snapshot.physics != self.settings.physics {
             return Err(SnapshotError::Mismatch { what: "lander physics" });
+        }
+        if !snapshot.episode.is_plausible() {
+            return Err(SnapshotError::Mismatch { what: "lander flight" });
         }
         match (&snapshot.contact, snapshot.episode.integrator) {
             (Some(bytes), Integrator::Contact { .. }) => {
@@ -274,6 +277,23 @@ impl LanderEpisode {
         episode
     }
 
+    /// Returns whether a flight can have come to this and can go on: it shows what it is, and every number is one.
+    fn is_plausible(&self) -> bool {
+        let state = observe::state(&self.bodies, self.angle, self.touch.legs);
+        let moves = match &self.integrator {
+            Integrator::Flight(flight) => flight.is_finite(),
+            Integrator::Contact { clear_frames } => *clear_frames <= CLEAR_FRAMES,
+        };
+        moves
+            && observe::is_possible(&state)
+            && self.observation == state.map(|value| value as f32)
+            && self.shaping == observe::shaping(&state)
+            && self.terrain.is_possible()
+            && self.bodies.iter().all(Body::is_finite)
+            && self.sleep.is_finite()
+            && self.wind.is_none_or(WindClock::counts_on)
+    }
+
     /// Hands the lander over to the contact world.
     fn enter_contact(&mut self, contact: &mut Option<Box<ContactWorld>>) {
         let Integrator::Flight(flight) = &self.integrator else { return };
@@ -312,6 +332,12 @@ impl LanderEpisode {
     fn score(&mut self, engine: Engine) -> Frame {
         let asleep = self.sleep.update(&self.bodies);
         let state = observe::state(&self.bodies, self.angle, self.touch.legs);
+        if !observe::is_possible(&state) {
+            // No flight comes here but from a snapshot that somebody made up: a spin that no frame can follow grows until
+            // it is no number. What was seen last stays: numbers like these would be held against whoever flew on.
+            let (observation, outcome) = (self.observation, Some(LanderOutcome::Out));
+            return Frame { observation, reward: -100.0, outcome };
+        }
         let shaping = observe::shaping(&state);
         let difference = shaping - self.shaping - engine.fuel();
         self.shaping = shaping;
@@ -374,6 +400,63 @@ mod tests {
         contact[..4].copy_from_slice(&f32::NAN.to_le_bytes());
         let error = lander.restore(&snapshot).unwrap_err();
         assert!(matches!(error, SnapshotError::Mismatch { .. }), "{error}");
+    }
+
+    #[test]
+    fn a_flight_that_cannot_have_been_is_not_restored() {
+        let mut lander = Lander::new(&PhysicsSettings::default());
+        lander.step(Engine::Main);
+        let flown = lander.snapshot();
+        let changes: [fn(&mut LanderEpisode); 10] = [
+            |it| it.bodies[HULL].center.y = f64::NAN,
+            |it| it.bodies[1].velocity.x = f64::INFINITY,
+            // It is elsewhere than it shows.
+            |it| it.bodies[HULL].center.x += 1.0,
+            // It shows where it is, which is far beyond any flight.
+            |it| {
+                it.bodies[HULL].center.y = 1e12;
+                let state = observe::state(&it.bodies, it.angle, it.touch.legs);
+                it.observation = state.map(|value| value as f32);
+                it.shaping = observe::shaping(&state);
+            },
+            |it| it.observation[7] = f32::NAN,
+            |it| it.shaping = 1e12,
+            |it| it.terrain.heights[0] = f64::NAN,
+            |it| it.terrain.top = 1e9,
+            |it| {
+                if let Integrator::Flight(flight) = &mut it.integrator {
+                    flight.leg_rates[0] = f64::NAN;
+                }
+            },
+            |it| it.wind = Some(WindClock { force: i64::MAX, torque: 0 }),
+        ];
+        for (i, change) in changes.into_iter().enumerate() {
+            let mut snapshot = flown.clone();
+            change(&mut snapshot.episode);
+            let error = lander.restore(&snapshot).unwrap_err();
+            let is_it = matches!(error, SnapshotError::Mismatch { what: "lander flight" });
+            assert!(is_it, "change {i}: {error}");
+            assert_eq!(lander.snapshot(), flown, "change {i}");
+        }
+        lander.restore(&flown).unwrap();
+    }
+
+    #[test]
+    fn a_spin_that_no_frame_can_follow_ends_the_flight_and_is_not_seen() {
+        let mut lander = Lander::new(&PhysicsSettings::default());
+        let mut snapshot = lander.snapshot();
+        let episode = &mut snapshot.episode;
+        episode.bodies.iter_mut().for_each(|body| body.spin = 1e5);
+        episode.integrator = Integrator::Flight(Flight::take_over(&episode.bodies, episode.angle));
+        let state = observe::state(&episode.bodies, episode.angle, episode.touch.legs);
+        episode.observation = state.map(|value| value as f32);
+        episode.shaping = observe::shaping(&state);
+        lander.restore(&snapshot).unwrap();
+        let last = (0..10).map(|_| lander.step(Engine::Idle)).find(|it| it.outcome.is_some());
+        let last = last.expect("it flies apart within a few frames");
+        assert_eq!((last.outcome, last.reward), (Some(LanderOutcome::Out), -100.0));
+        assert!(last.observation.iter().all(|value| value.abs() <= 1e6), "{last:?}");
+        assert_eq!(lander.observation(), &last.observation);
     }
 
     #[test]

@@ -5,6 +5,9 @@ use leadtime_sims::Quantity;
 use super::body::Body;
 use super::constants::{FPS, HALF_WORLD, HULL, PAD_X, REST_Y, Vec2};
 
+/// Far beyond any flight, and far within what a rollout may hold.
+const FARTHEST: f64 = 1e6;
+
 /// Computes x, y, vx, vy, angle, angular velocity, right and left leg flag, in double precision.
 ///
 /// Position in half worlds from the standing hull on the pad; velocity in half worlds per second, over 50 frames
@@ -22,6 +25,11 @@ pub(super) fn state(bodies: &[Body; 3], angle: f64, legs: [bool; 2]) -> [f64; 8]
         f64::from(u8::from(legs[0])),
         f64::from(u8::from(legs[1])),
     ]
+}
+
+/// Returns whether a flight can come to a state; a NaN is out of reach, too.
+pub(super) fn is_possible(state: &[f64; 8]) -> bool {
+    state.iter().all(|value| value.abs() <= FARTHEST)
 }
 
 /// Says what the 8 values are; the ranges are those that the original states.

@@ -13,6 +13,11 @@ const TIME_TO_SLEEP: f32 = 0.5;
 pub(super) struct Sleep([f32; 3]);
 
 impl Sleep {
+    /// Returns whether every time is a number.
+    pub(super) fn is_finite(&self) -> bool {
+        self.0.iter().all(|still| still.is_finite())
+    }
+
     /// Takes in the velocities at the end of a frame, and tells whether all bodies have come to rest.
     pub(super) fn update(&mut self, bodies: &[Body; 3]) -> bool {
         for (still, body) in self.0.iter_mut().zip(bodies) {

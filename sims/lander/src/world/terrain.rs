@@ -37,6 +37,12 @@ impl Terrain {
         Self { heights, top: heights.iter().fold(0.0, |top, &height| height.max(top)) }
     }
 
+    /// Returns whether it can have been drawn.
+    pub(super) fn is_possible(&self) -> bool {
+        let drawn = 0.0..=HEIGHT / 2.0;
+        self.heights.iter().all(|height| drawn.contains(height)) && *self == Self::new(self.heights)
+    }
+
     pub(super) fn point(&self, i: usize) -> Vec2 {
         Vec2::new(SPACING * i as f64, self.heights[i])
     }
