@@ -164,7 +164,7 @@ def smoke(domain, scratch):
     comparison = json.loads(done.stdout)["comparison"]
     if WRITE:
         kept = {"command": command, "program": run("leadtime version", scratch).stdout.splitlines(), "comparison": comparison}
-        (ROOT / f"docs/results/smoke_{domain}.json").write_text(json.dumps(kept, indent=1) + "\n")
+        (ROOT / f"docs/results/smoke_{domain}.json").write_text(json.dumps(kept) + "\n")
     return comparison
 
 

@@ -163,11 +163,11 @@ fn page_address(process: &Running) -> String {
     link.trim_start_matches("http://").trim_end_matches('/').to_owned()
 }
 
-/// Asks for events.
+/// Asks for events, in a version of the protocol that cuts a body into no chunks.
 fn events(address: &str) -> TcpStream {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
-    write!(stream, "GET /events HTTP/1.1\r\nHost: {address}\r\n\r\n").unwrap();
+    write!(stream, "GET /events HTTP/1.0\r\nHost: {address}\r\n\r\n").unwrap();
     stream
 }
 
