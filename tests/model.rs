@@ -796,7 +796,7 @@ fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
         world.faults.into_iter().for_each(|(fault, n)| *faults.entry(fault).or_insert(0) += n);
     }
     assert!(n_compared >= N_RUNS / 4, "only {n_compared} of {N_RUNS} could be compared");
-    // On average more than one of each kind per run.
+    // On average more than one of each kind in two runs.
     assert!(faults.values().all(|n| *n > N_RUNS / 2), "some hardly ever happened: {faults:?}");
     assert!(n_lost > 0, "no state was ever lost");
 }

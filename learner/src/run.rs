@@ -587,13 +587,16 @@ impl RunLoop {
                 }
                 Ok(())
             }
-            written => {
-                if let (Ok(()), Some(unsaved)) = (&written, self.saving.succeeded(Instant::now())) {
-                    self.sink.on_event(&RunEvent::CheckpointRecovered { unsaved });
-                }
-                written
-            }
+            written => self.recovered(written),
         }
+    }
+
+    /// Notes that a checkpoint could be written, if it could, and says so after failures.
+    fn recovered(&mut self, written: Result<(), Error>) -> Result<(), Error> {
+        if let (Ok(()), Some(unsaved)) = (&written, self.saving.succeeded(Instant::now())) {
+            self.sink.on_event(&RunEvent::CheckpointRecovered { unsaved });
+        }
+        written
     }
 
     /// Tries again what could not be saved, and says when updates begin to wait for it.
@@ -617,8 +620,9 @@ impl RunLoop {
         loop {
             let written = self.checkpoint();
             let Err(Error::Checkpoint(error @ CheckpointError::Write { .. })) = &written else {
-                return written;
+                return self.recovered(written);
             };
+            self.saving.failed(Instant::now());
             if !std::mem::replace(&mut is_told, true) {
                 let reason = with_cause(error);
                 self.sink.on_event(&RunEvent::Unsaved { reason, kept });

@@ -404,16 +404,17 @@ fn outlasts(place: &Place, shortage: &Shortage) {
     wait_for_updates(&place.run("r"), 40);
     let unsaved = || sample(&get(&at, "/metrics").1, "leadtime_unsaved_seconds");
     assert_eq!(unsaved(), Some(0.0));
-    shortage.begin(&learner);
-    wait_for_words(&learner, "training continues");
     let n_updates = || sample(&get(&at, "/metrics").1, "leadtime_updates_total").unwrap();
     let before = n_updates();
-    wait_until("training goes on", PATIENCE, || n_updates() > before + 2.0);
+    shortage.begin(&learner);
+    wait_for_words(&learner, "training continues");
     wait_for_words(&learner, "training waits until there is room");
     wait_until("it is not ready", PATIENCE, || get(&at, "/ready").1.contains("free some space"));
     let (paused, dropped) =
         (n_updates(), sample(&get(&at, "/metrics").1, "leadtime_lines_dropped_total"));
     assert!(dropped.unwrap() > 0.0, "{dropped:?}");
+    // A checkpoint is due after every fourth update.
+    assert!(paused > before + 8.0, "training went on: {paused}, {before}");
     assert!(unsaved() >= Some(3.0), "also while it waits: {:?}", unsaved());
     shortage.end(Some(&learner));
     wait_for_words(&learner, "checkpoints can be written again");
@@ -425,6 +426,7 @@ fn outlasts(place: &Place, shortage: &Shortage) {
     shortage.begin(&learner);
     signal("TERM", learner.id());
     wait_for_words(&learner, "the end of the run cannot be saved");
+    wait_until("the page tells it", PATIENCE, || unsaved() > Some(0.0));
     signal("TERM", learner.id());
     learner.finish(PATIENCE).with_code(2);
     actor.finish(PATIENCE).with_code(0);

@@ -366,7 +366,7 @@ mod tests {
 
     #[test]
     fn a_failure_in_one_thread_keeps_the_others_from_what_is_left() {
-        const N_EPISODES: u64 = 200_000;
+        const N_EPISODES: u64 = 20_000_000;
         let (n_begun, given_up) = (Arc::new(AtomicU64::new(0)), Arc::new(Barrier::new(2)));
         let make = || -> Result<Box<dyn Environment>, TaskError> {
             let actions = ActionSpec::discrete("action", 2);

@@ -1,6 +1,7 @@
 //! One environment with the episode that is being played in it, and its snapshot.
 
 use leadtime_numerics::Pcg64;
+use leadtime_proto::limits::MAX_MAGNITUDE;
 use leadtime_proto::{EnvId, EpisodeSummary, packed};
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::{Environment, EpisodeSeed, SnapshotError, StepOutcome};
@@ -59,6 +60,14 @@ impl EnvSlot {
         let snapshot: SlotSnapshot = read_snapshot(bytes)?;
         if snapshot.recurrent.len() != recurrent_dim {
             return Err(SnapshotError::Mismatch { what: "width of the recurrent state" });
+        }
+        // What a rollout may not hold would be held against whoever goes on from here.
+        let most = MAX_MAGNITUDE.min(MAX_MAGNITUDE * f64::from(snapshot.length));
+        let within = |value: f64, most: f64| value.abs() <= most;
+        if !within(snapshot.episode_return, most)
+            || !snapshot.recurrent.iter().all(|it| within(f64::from(*it), MAX_MAGNITUDE))
+        {
+            return Err(SnapshotError::Mismatch { what: "return or recurrent state" });
         }
         let seed = EpisodeSeed { run_seed, env_id, episode: snapshot.episode };
         let mut slot = Self::idle(env, recurrent_dim, seed);

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use leadtime_web::axum::body::Bytes;
 
-/// Pieces that wait for one client, besides those that it gets first.
+/// Pieces that wait for one client, besides those that it gets first, and those of its longest event.
 const QUEUED: usize = 256;
 /// The longest piece of an event, in bytes: the curves of a long run take many.
 const PIECE: usize = 16 << 10;
@@ -121,6 +121,8 @@ fn pieces(event: &Bytes) -> impl Iterator<Item = Bytes> {
 struct Client {
     queue: flume::Sender<EventBytes>,
     wanted: Wanted,
+    /// Pieces that may wait before an event goes in.
+    most: usize,
     n_sent: u64,
     n_taken: u64,
     taken_at: Instant,
@@ -142,10 +144,14 @@ impl Client {
         if kind.is_soon_told_anew() && self.queue.len() > BEHIND {
             return true;
         }
-        // One that gets half an event is cut off, and does not take it for one.
+        if self.queue.len() >= self.most {
+            return false;
+        }
+        // An event goes in whole, however long it is: curves may be many times as long as everything that waits otherwise.
+        self.most = self.most.max(QUEUED + event.len().div_ceil(PIECE));
         pieces(event).all(|piece| {
             self.n_sent += 1;
-            self.queue.try_send(Ok(piece)).is_ok()
+            self.queue.send(Ok(piece)).is_ok()
         })
     }
 }
@@ -198,13 +204,13 @@ impl EventHub {
             return Err(NoPlace::Full);
         }
         let first: Vec<Bytes> = first.iter().flat_map(pieces).collect();
-        let (queue, events) = flume::bounded(QUEUED + first.len());
-        let n_sent = first.len() as u64;
+        // Bounded by `most` before every event.
+        let (queue, events) = flume::unbounded();
+        let (n_sent, most) = (first.len() as u64, QUEUED + first.len());
         for piece in first {
-            // There is room for all of them.
-            drop(queue.try_send(Ok(piece)));
+            drop(queue.send(Ok(piece)));
         }
-        self.clients.push(Client { queue, wanted, n_sent, n_taken: 0, taken_at: now });
+        self.clients.push(Client { queue, wanted, most, n_sent, n_taken: 0, taken_at: now });
         Ok(events)
     }
 
@@ -301,6 +307,25 @@ mod tests {
         // The curves are whole, and nothing came between their pieces.
         read.extend(events.drain().flat_map(Result::unwrap));
         assert!(curves == read, "{} of {} bytes", read.len(), curves.len());
+    }
+
+    #[test]
+    fn curves_that_are_longer_than_a_queue_cut_nobody_off_who_reads() {
+        let (mut hub, start) = (EventHub::default(), Instant::now());
+        let events = hub.join(all(), &[], start).unwrap();
+        let curves = "7".repeat(2 * QUEUED * PIECE);
+        for second in 0..10 {
+            let now = start + Duration::from_secs(second);
+            hub.send(EventKind::History, None, &curves, now);
+            hub.send(EventKind::Update, None, "{}", now);
+            let read: usize = events.drain().map(|piece| piece.unwrap().len()).sum();
+            assert!(read > curves.len(), "{read}");
+        }
+        assert_eq!(hub.n_clients(), 1);
+        for _ in 0..10 {
+            hub.send(EventKind::History, None, &curves, start + Duration::from_secs(10));
+        }
+        assert_eq!(hub.n_clients(), 0, "what waits has an end");
     }
 
     #[test]

@@ -110,12 +110,13 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
 /// Gathers what a status page says of the run itself.
 fn facts(run_dir: &RunDir, config: &Config, listen: &ListenSettings) -> LearnerFacts {
     let own = listen.identity.as_ref().map(|identity| identity.certificate().to_owned());
+    let mut endpoints = listen.endpoints.iter().chain(&listen.connect);
     let listens_with_it = |endpoint: &Endpoint| endpoint.as_str().starts_with("tls/");
     LearnerFacts {
         run: run_dir.name.to_string(),
         directory: run_dir.path.clone(),
         checkpoint_interval: config.run.checkpoints.time,
-        certificate: own.or_else(|| listen.endpoints.iter().find_map(Endpoint::certificate)),
+        certificate: own.or_else(|| endpoints.find_map(Endpoint::certificate)),
         is_certificate_read_once: listen.endpoints.iter().any(listens_with_it),
     }
 }

@@ -4,8 +4,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::world::Vehicle;
 
-/// Half of what a rollout may hold as a metric: a drive adds little.
-const LARGEST_SUM: f64 = 5e8;
+/// A tenth of what a rollout may hold as a metric.
+const LARGEST_SUM: f64 = 1e8;
+/// More than a step or a frame adds to a sum: what is let in here is let in after every further step, too.
+const LARGEST_ADDED: f64 = 1e3;
+/// More than a frame adds to the sum of squared jerks.
+const LARGEST_JERK_SQUARE: f64 = 1e14;
+/// More frames than a step has.
+const FRAMES_PER_STEP: u32 = 1 << 10;
 /// Far beyond any acceleration, in m/s².
 const LARGEST_RATE: f64 = 1e4;
 
@@ -98,16 +104,20 @@ impl DriveProgress {
 
     /// Returns whether an episode could have come to these numbers, with room to count on.
     pub(super) fn is_plausible(&self, max_steps: u32, n_ramps: usize) -> bool {
-        let mut sums = self.pieces.iter().chain(&self.penalties).chain([&self.speed_sum]);
+        let [of_steps, of_frames] =
+            [self.n_steps, self.n_frames].map(|n| LARGEST_SUM + LARGEST_ADDED * f64::from(n));
+        let jerks = LARGEST_SUM * LARGEST_SUM + LARGEST_JERK_SQUARE * f64::from(self.n_jerks);
+        let mut sums = self.pieces.iter().chain(&self.penalties);
         let mut rates = self.acceleration.iter().chain([&self.hardest_braking]);
-        sums.all(|sum| sum.abs() <= LARGEST_SUM)
+        sums.all(|sum| sum.abs() <= of_steps)
+            && self.speed_sum.abs() <= of_frames
             && rates.all(|rate| rate.abs() <= LARGEST_RATE)
-            && (0.0..=LARGEST_SUM * LARGEST_SUM).contains(&self.jerk_square_sum)
+            && (0.0..=jerks).contains(&self.jerk_square_sum)
             && self.n_steps <= max_steps
             && self.n_driven <= self.n_steps
             && self.n_refused <= max_steps
             && self.n_jerks <= self.n_frames
-            && self.n_frames <= 1 << 30
+            && self.n_frames <= self.n_steps.saturating_mul(FRAMES_PER_STEP)
             && self.crash_ramp.is_none_or(|ramp| ramp < n_ramps)
     }
 }

@@ -12,7 +12,10 @@ use leadtime_sims::check::{SettingError, require, require_within};
 use serde::{Deserialize, Serialize};
 
 use super::traffic::Traffic;
-use super::vehicle::Driver;
+use super::vehicle::{Driver, Vehicle};
+
+/// Far more than any car from a ramp is slower than it wants to be, as a share of that.
+const LARGEST_SHARE: f64 = 1e4;
 
 /// Weights of the reward.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -154,11 +157,16 @@ impl Traffic {
             let distance = libm::sqrt(dx * dx + dy * dy);
             there && vehicle.driver != Driver::Nobody && distance <= settings.merging_range
         });
+        // Cars from ramps want 1 m/s or more; what somebody made up may want none.
+        let slowed = |car: &Vehicle| {
+            let share = (car.target_speed - car.speed) / car.target_speed;
+            if share.abs() <= LARGEST_SHARE { share } else { 0.0 }
+        };
         RewardTerms {
             collision: f64::from(u8::from(own.crashed)),
             right_lane: f64::from(self.network().rank(own.lane)),
             high_speed: (own.speed - low) / (high - low),
-            merging: merging.map(|car| (car.target_speed - car.speed) / car.target_speed).sum(),
+            merging: merging.map(slowed).sum(),
             lane_change: f64::from(u8::from(lane_change)),
         }
     }

@@ -21,7 +21,7 @@ use super::vehicle::{CarRole, Driver, Vehicle};
 pub enum Blindness {
     /// Until the merging car has settled on the carriageway: in the middle of its lane, and bound for no other.
     UntilSettled,
-    /// Until the merging car is on a lane of the carriageway.
+    /// As long as the merging car is on a lane of the ramp.
     UntilOnCarriageway,
     /// For ever: cars from ramps and the ego never see each other.
     Always,

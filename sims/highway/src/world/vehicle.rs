@@ -40,7 +40,8 @@ pub enum CarRole {
     Traffic,
     /// The car of the listener.
     Ego,
-    /// From a ramp, and not settled on the carriageway: it does not see the ego, and the ego trusts it to yield.
+    /// From a ramp, and not settled on the carriageway: it does not see the ego, and the ego trusts it to yield, unless
+    /// [`Blindness`](super::Blindness) says otherwise.
     Merging,
     /// From a ramp, and settled, where it and the ego never see each other ([`Always`](super::Blindness::Always)).
     Merged,

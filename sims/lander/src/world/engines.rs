@@ -119,17 +119,13 @@ impl WindClock {
         Self { force: rng.integers(-9999, 9999), torque: rng.integers(-9999, 9999) }
     }
 
-    /// Returns whether it has room to count on for as long as an episode may last.
-    pub(super) fn counts_on(self) -> bool {
-        [self.force, self.torque].iter().all(|count| count.unsigned_abs() < 1 << 40)
-    }
-
     /// Returns the wind of this frame and moves on.
     pub(super) fn blow(&mut self, settings: &PhysicsSettings) -> Gust {
         let force = course(self.force) * settings.wind_power;
         let gust = Gust { force, torque: course(self.torque) * settings.turbulence_power };
-        self.force += 1;
-        self.torque += 1;
+        // It may come from a snapshot that somebody made up.
+        self.force = self.force.wrapping_add(1);
+        self.torque = self.torque.wrapping_add(1);
         gust
     }
 }

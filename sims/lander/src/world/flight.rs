@@ -107,16 +107,14 @@ impl Flight {
         Self { center, velocity, angular_momentum, angle, spin, leg_angles, leg_rates, stance }
     }
 
-    /// Returns whether every number of it is one.
-    pub(super) fn is_finite(&self) -> bool {
+    /// Returns whether every number of it is one, and its stance is that of its legs.
+    pub(super) fn is_possible(&self) -> bool {
         let Self { center, velocity, angular_momentum, angle, spin, leg_angles, leg_rates, stance } =
             *self;
-        let Stance { turns, arms, center: own_center, inertia, coupling } = stance;
-        let vectors = [center, velocity, own_center, arms[0], arms[1]].map(|v| [v.x, v.y]);
-        let turns = turns.map(|(cos, sin)| [cos, sin]);
-        let rest = [[angular_momentum, inertia], [angle, spin], leg_angles, leg_rates, coupling];
-        let pairs = vectors.into_iter().chain(turns).chain(rest);
-        pairs.flatten().all(f64::is_finite)
+        let vectors = [center, velocity].map(|v| [v.x, v.y]);
+        let pairs = vectors.into_iter().chain([[angle, spin], leg_angles, leg_rates]);
+        let mut numbers = pairs.flatten().chain([angular_momentum]);
+        stance == Stance::of(leg_angles) && numbers.all(f64::is_finite)
     }
 
     /// Advances by one frame: momenta first, then positions with the new velocities, as Box2D does.
