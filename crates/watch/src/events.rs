@@ -148,7 +148,7 @@ impl Client {
             return false;
         }
         // An event goes in whole, however long it is: curves may be many times as long as everything that waits otherwise.
-        self.most = self.most.max(QUEUED + event.len().div_ceil(PIECE));
+        self.most = self.most.max(QUEUED + event.len() / PIECE);
         pieces(event).all(|piece| {
             self.n_sent += 1;
             self.queue.send(Ok(piece)).is_ok()
