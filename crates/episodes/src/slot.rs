@@ -253,4 +253,28 @@ mod tests {
             assert_eq!(slot.seed(), seed);
         }
     }
+
+    #[test]
+    fn what_no_rollout_may_hold_is_not_restored() {
+        let actions = ActionSpec::discrete("action", 2);
+        let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+        let env = || Box::new(Paying { spec: spec.clone(), goes_on: true });
+        let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(2), episode: 3 };
+        for (episode_return, memory, fits) in [
+            (1.0, 0.5, true),
+            (f64::NAN, 0.5, false),
+            (2.0 * MAX_MAGNITUDE, 0.5, false),
+            (1.0, f32::NAN, false),
+            (1.0, f32::MAX, false),
+        ] {
+            let mut slot = EnvSlot::new(env(), 1, seed);
+            slot.step(&[0]);
+            slot.episode_return = episode_return;
+            slot.memory().fill(memory);
+            let mut bytes = Vec::new();
+            slot.snapshot(&mut bytes);
+            let restored = EnvSlot::restored(env(), 1, seed.run_seed, seed.env_id, &bytes);
+            assert_eq!(restored.is_ok(), fits, "{episode_return} {memory}");
+        }
+    }
 }

@@ -121,3 +121,30 @@ impl DriveProgress {
             && self.crash_ramp.is_none_or(|ramp| ramp < n_ramps)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_that_are_let_in_are_let_in_after_a_step_and_larger_ones_are_not() {
+        let mut progress = DriveProgress {
+            n_steps: 1,
+            n_frames: FRAMES_PER_STEP,
+            speed_sum: LARGEST_SUM + LARGEST_ADDED * f64::from(FRAMES_PER_STEP),
+            jerk_square_sum: LARGEST_SUM * LARGEST_SUM,
+            pieces: [LARGEST_SUM + LARGEST_ADDED; 5],
+            ..DriveProgress::default()
+        };
+        assert!(progress.is_plausible(9, 3));
+        progress.n_steps += 1;
+        progress.n_frames += 5;
+        progress.speed_sum += 5.0 * 40.0;
+        progress.n_jerks += 5;
+        progress.jerk_square_sum += 5.0 * 1e5;
+        progress.pieces.iter_mut().for_each(|piece| *piece += 1.0);
+        assert!(progress.is_plausible(9, 3));
+        assert!(!DriveProgress { speed_sum: 5e8, ..progress }.is_plausible(9, 3));
+        assert!(!DriveProgress { penalties: [f64::NAN; 2], ..progress }.is_plausible(9, 3));
+    }
+}
