@@ -40,26 +40,28 @@ def train(leadtime, profile, seed, folder):
     """Trains one seed and returns its success; None if the program failed."""
     if profile in SMOKES:
         command = [leadtime, "smoke", "--domain", SMOKES[profile], "--seed", str(seed), "--runs", folder, "--json"]
-        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-        return success_of(json.loads(done.stdout), "trained") if done.returncode == 0 else None
+        return success_of(command, "trained")
     config, settings = TRAININGS[profile]
     command = [leadtime, "up", "-c", config, "--actors", "1", "--seed", str(seed), "--runs", folder, "--name", "run"]
     command += [argument for setting in settings for argument in ("--set", setting)]
     if subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode != 0:
         return None
     command = [leadtime, "eval", "run", "--runs", folder, "--episodes", "1000", "--eval-seed", "5900000", "--json"]
+    return success_of(command, "policy")
+
+
+def success_of(command, player):
+    """Runs `eval --json` or `smoke --json` and returns a player's success; None if the program failed."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    return success_of(json.loads(done.stdout), "policy") if done.returncode == 0 else None
-
-
-def success_of(printed, player):
-    """Returns a player's success in what `eval --json` and `smoke --json` print."""
-    measures = next(summary["measures"] for summary in printed["comparison"]["summaries"] if summary["player"] == player)
+    if done.returncode != 0:
+        return None
+    summaries = json.loads(done.stdout)["comparison"]["summaries"]
+    measures = next(summary["measures"] for summary in summaries if summary["player"] == player)
     return next(measure["interval"]["estimate"] for measure in measures if measure["name"] == "success")
 
 
 def train_into(options, profile, seed):
-    """Trains one seed, unless that was done, and keeps what came of it."""
+    """Trains one seed and writes its result, unless the result is there already."""
     result = options.results / f"{profile}-{seed}.json"
     if result.exists():
         return

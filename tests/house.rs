@@ -79,7 +79,7 @@ fn offenders(words: &[&str], allowed: &[&str]) -> Vec<String> {
         .collect()
 }
 
-/// Returns the layer of a crate; `None` if it is none of ours.
+/// Returns the layer of a crate; `None` of a crate from elsewhere.
 fn layer(name: &str) -> Option<usize> {
     LAYERS.iter().position(|names| names.contains(&name))
 }

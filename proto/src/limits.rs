@@ -35,6 +35,12 @@ pub const MAX_WINDOW: u32 = 4_096;
 pub const MAX_LAG: u64 = 64;
 /// The largest magnitude of a number in a rollout: squared and summed over an update it is still finite in `f32`.
 pub const MAX_MAGNITUDE: f64 = 1e9;
+
+/// Returns whether a rollout may hold a number. Who restores a state with others is refused for what follows from them.
+pub fn may_hold(value: impl Into<f64>) -> bool {
+    value.into().abs() <= MAX_MAGNITUDE
+}
+
 /// The lowest log-probability of an action that was sampled; far below what rounding leaves of the least likely one.
 pub const MIN_LOG_PROB: f32 = -1e4;
 /// The highest log-probability of an action: 0, and what rounding adds to it.

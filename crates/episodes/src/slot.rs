@@ -1,7 +1,7 @@
 //! One environment with the episode that is being played in it, and its snapshot.
 
 use leadtime_numerics::Pcg64;
-use leadtime_proto::limits::MAX_MAGNITUDE;
+use leadtime_proto::limits::may_hold;
 use leadtime_proto::{EnvId, EpisodeSummary, packed};
 use leadtime_sims::environment::{read_snapshot, write_snapshot};
 use leadtime_sims::{Environment, EpisodeSeed, SnapshotError, StepOutcome};
@@ -61,12 +61,10 @@ impl EnvSlot {
         if snapshot.recurrent.len() != recurrent_dim {
             return Err(SnapshotError::Mismatch { what: "width of the recurrent state" });
         }
-        // What a rollout may not hold would be held against whoever goes on from here.
-        let most = MAX_MAGNITUDE.min(MAX_MAGNITUDE * f64::from(snapshot.length));
-        let within = |value: f64, most: f64| value.abs() <= most;
-        if !within(snapshot.episode_return, most)
-            || !snapshot.recurrent.iter().all(|it| within(f64::from(*it), MAX_MAGNITUDE))
-        {
+        let is_paid = snapshot.length > 0 || snapshot.episode_return == 0.0;
+        let within =
+            may_hold(snapshot.episode_return) && snapshot.recurrent.iter().copied().all(may_hold);
+        if !is_paid || !within {
             return Err(SnapshotError::Mismatch { what: "return or recurrent state" });
         }
         let seed = EpisodeSeed { run_seed, env_id, episode: snapshot.episode };
@@ -191,6 +189,7 @@ impl EnvSlot {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_proto::limits::MAX_MAGNITUDE;
     use leadtime_proto::{ActionSpec, EnvSpec};
 
     use super::*;

@@ -53,7 +53,7 @@ impl CellTable {
         for (name, k, l) in cells {
             let fits = 1 <= *k && k <= l && *l <= MAX_WORDS;
             match known.iter().position(|topic| topic == name).filter(|_| fits) {
-                // Here and not in `nearest`: whoever asks for a k that is allowed would hear a greater one.
+                // Here and not in `nearest`, which would turn a k that is allowed into a greater one.
                 Some(id) if k_max.is_none_or(|most| *k <= most) => by_topic[id].push((*k, *l)),
                 Some(_) => {}
                 None => return Err(error(format!("a table with [\"{name}\", {k}, {l}]"))),

@@ -1,7 +1,7 @@
 //! The environment that joins a domain, a listener and a notifier.
 
 use leadtime_numerics::Purpose;
-use leadtime_proto::limits::MAX_MAGNITUDE;
+use leadtime_proto::limits::may_hold;
 use leadtime_proto::{EnvSpec, Mask};
 use serde::{Deserialize, Serialize};
 
@@ -399,8 +399,7 @@ impl<D: Domain> Environment for NotifierEnv<D> {
             return Err(SnapshotError::Mismatch { what: "topics or words" });
         }
         let counts_on = n_steps < MAX_STEPS && first_start <= n_steps;
-        // What a rollout may not hold would be held against whoever goes on from here.
-        let shown = snapshot.history.iter().all(|it| f64::from(it.abs()) <= MAX_MAGNITUDE);
+        let shown = snapshot.history.iter().copied().all(may_hold);
         let speech = snapshot.human.speech();
         if !counts_on || !shown || !self.session.resume(&snapshot.history, speech) {
             return Err(SnapshotError::Mismatch { what: "history" });

@@ -87,7 +87,7 @@ impl RobotPort {
         let to = match topic {
             LiveTopic::Say => &self.say,
             LiveTopic::Status => &self.status,
-            _ => return Ok(()),
+            LiveTopic::Observations | LiveTopic::Heard | LiveTopic::Taken => return Ok(()),
         };
         let Some(to) = to else { return Ok(()) };
         let put = to.put(bytes).attachment(beside).wait();

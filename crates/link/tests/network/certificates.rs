@@ -144,7 +144,7 @@ async fn in_the_clear_or_without_a_certificate_nobody_comes_in() {
         let endpoint = format!("{endpoint}#root_ca_certificate_file={}", file("ca.pem"));
         with(None, &endpoint.parse().unwrap(), timeout)
     };
-    // Whoever is let in is so much sooner.
+    // A listener lets a client in well within this time.
     let settings = nameless(&endpoint, Duration::from_secs(2));
     let error = ActorLink::open(&settings, &actor_id("a1"), &start("a1")).await.unwrap_err();
     let words = "no encrypted connection comes about";

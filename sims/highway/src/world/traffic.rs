@@ -133,7 +133,7 @@ impl Traffic {
         lane.along(self.place_of(body)) - lane.along(self.vehicles[me].position)
     }
 
-    /// Lets merging cars that have settled be no merging cars any more, whoever sees them.
+    /// Ends the merging of cars that have settled, whatever the blindness is.
     fn settle(&mut self) {
         let is_unseen = self.blindness == Blindness::Always;
         let settled = if is_unseen { CarRole::Merged } else { CarRole::Traffic };

@@ -110,8 +110,8 @@ pub(super) struct Load {
 /// Where wind and turbulence stand in their aperiodic course.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct WindClock {
-    pub(super) force: i64,
-    pub(super) torque: i64,
+    force: i64,
+    torque: i64,
 }
 
 impl WindClock {

@@ -285,12 +285,16 @@ impl LanderEpisode {
             Integrator::Contact { clear_frames } => *clear_frames <= CLEAR_FRAMES,
         };
         moves
-            && observe::is_possible(&state)
+            && self.is_within_reach(&state)
             && self.observation == state.map(|value| value as f32)
             && self.shaping == observe::shaping(&state)
             && self.terrain.is_possible()
-            && self.bodies.iter().all(Body::is_finite)
             && self.sleep.is_finite()
+    }
+
+    /// Returns whether a flight can come to a state of the bodies.
+    fn is_within_reach(&self, state: &[f64; 8]) -> bool {
+        observe::is_possible(state) && self.bodies.iter().all(Body::is_finite)
     }
 
     /// Hands the lander over to the contact world.
@@ -331,9 +335,9 @@ impl LanderEpisode {
     fn score(&mut self, engine: Engine) -> Frame {
         let asleep = self.sleep.update(&self.bodies);
         let state = observe::state(&self.bodies, self.angle, self.touch.legs);
-        if !observe::is_possible(&state) || !self.bodies.iter().all(Body::is_finite) {
+        if !self.is_within_reach(&state) {
             // Only an ascent of twenty minutes comes here, or a snapshot that somebody made up: a spin that no frame can follow
-            // grows until it is no number. What was seen last stays: such numbers would be held against whoever flew on.
+            // grows until it is no number. What was seen last stays: a rollout with such numbers is refused.
             let (observation, outcome) = (self.observation, Some(LanderOutcome::Out));
             return Frame { observation, reward: -100.0, outcome };
         }
