@@ -696,22 +696,22 @@ impl RunLoop {
         }
     }
 
-    /// Goes on listening until the actors have left and the update under way is done, or time is up.
+    /// Goes on listening until the actors have left and the update under way is done, or time is up; then returns the first error.
     async fn farewell(&mut self, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
         // The run's own token may be cancelled already, and would wake this loop without end.
         let never = CancellationToken::new();
         let mut ticks = interval(TICK);
         let deadline = tokio::time::Instant::now() + FAREWELL;
+        let mut result = Ok(());
         while self.coordinator.n_actors() > 0 || self.is_training {
             let wake = self.next_wake(events, &mut ticks, &never);
-            match tokio::time::timeout_at(deadline, wake).await {
-                Ok(wake) => self.handle(wake?, events)?,
-                Err(_) => break,
-            }
+            let Ok(wake) = tokio::time::timeout_at(deadline, wake).await else { break };
+            // Whatever fails, the actors have still to be told.
+            result = result.and(self.handle(wake?, events));
             self.evaluate();
             self.act();
         }
-        Ok(())
+        result
     }
 }
 
