@@ -13,6 +13,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
+use leadtime_learner::checkpoint::{CheckpointError, CheckpointStore};
 use leadtime_learner::{
     Build, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig, PolicyEvaluator,
     ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
@@ -879,6 +880,45 @@ async fn a_state_that_nobody_can_restore_ends_neither_an_actor_nor_the_run() {
     );
     let events = events.lock().unwrap();
     assert!(!events.iter().any(|event| matches!(event, RunEvent::CutOff { .. })), "{events:?}");
+}
+
+/// Obeys the next order in words alone, and returns it.
+async fn next_order(inbox: &leadtime_link::Events<ActorEvent>) -> Control {
+    loop {
+        if let ActorEvent::Control { control, reply, .. } = inbox.recv().await.unwrap() {
+            reply.reply(&ControlReply::Followed { epoch: epoch(&control) }).unwrap();
+            return control;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_whose_end_cannot_be_saved_waits_for_its_actors_once() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut learner = Learner::start(directory.path(), Mode::Sync, 2, 1);
+    let (_link, inbox) = pretender(directory.path(), "stays").await;
+    assert!(matches!(next_order(&inbox).await, Control::Wait), "it is a member");
+    // The run's directory was removed, and another learner has begun there.
+    let checkpoints = directory.path().join("checkpoints");
+    std::fs::remove_dir_all(&checkpoints).unwrap();
+    let _other = CheckpointStore::open(&checkpoints, Retention::default()).unwrap();
+    learner.stop.cancel();
+    let mut n_dismissed = 0;
+    let ended = async {
+        loop {
+            tokio::select! {
+                joined = &mut learner.task => break joined,
+                order = next_order(&inbox) => {
+                    n_dismissed += usize::from(matches!(order, Control::Stop { .. }));
+                }
+            }
+        }
+    };
+    let joined = tokio::time::timeout(PATIENCE, ended).await.expect("in time");
+    let error = joined.unwrap().unwrap_err();
+    let is_it = matches!(error, leadtime_learner::Error::Checkpoint(CheckpointError::InUse(_)));
+    assert!(is_it, "{error}");
+    assert_eq!(n_dismissed, 1, "who stays after that is not waited for again");
 }
 
 #[tokio::test(flavor = "multi_thread")]

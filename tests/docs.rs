@@ -1,7 +1,7 @@
 //! What pages show of the program's output is what it prints.
 //!
 //! A page has `<!-- begin COMMAND -->`, the output, `<!-- end -->`. `UPDATE_DOCS=1 cargo test -p leadtime --test docs` writes the
-//! outputs anew. What README's tables say of whole trainings is in `docs/results/smoke_*.json`, which `docs/check.sh --full --write`
+//! outputs anew. What README's tables say of whole trainings is in `docs/results/smoke_*.json`, which `docs/check.sh --write`
 //! writes anew.
 
 use std::fs;
@@ -91,7 +91,7 @@ const PLAYERS: [&str; 4] = ["trained", "unaided", "heuristic", "untrained"];
 fn smoke_result(domain: &str) -> Value {
     let path = docs().join(format!("results/smoke_{domain}.json"));
     let text = fs::read_to_string(&path);
-    let remedy = "docs/check.sh --full --write writes it";
+    let remedy = "docs/check.sh --write writes it";
     let text = text.unwrap_or_else(|error| panic!("{}: {error}; {remedy}", path.display()));
     serde_json::from_str::<Value>(&text).expect("it is JSON")["comparison"].take()
 }

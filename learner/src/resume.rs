@@ -163,7 +163,7 @@ impl ResumePoint {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::path::PathBuf;
     use std::time::Duration;
 
@@ -171,14 +171,14 @@ mod tests {
     use leadtime_ppo::checkpoints::{CheckpointInterval, Retention};
     use leadtime_ppo::{LearnerSettings, Mode};
     use leadtime_proto::{
-        ActorId, EnvId, Incarnation, Iteration, Rollout, RunName, Sequence, fakes,
+        ActorId, CheckedRollout, EnvId, Incarnation, Iteration, Rollout, RunName, Sequence, fakes,
     };
 
     use super::*;
     use crate::Build;
 
     /// A run of one update with a lag.
-    fn config() -> LearnerConfig {
+    pub(crate) fn config() -> LearnerConfig {
         let settings = LearnerSettings {
             n_envs: 2,
             n_steps: 1,
@@ -206,6 +206,16 @@ mod tests {
         }
     }
 
+    /// Makes the rollouts of the update.
+    pub(crate) fn batch(config: &LearnerConfig) -> Vec<CheckedRollout> {
+        let rollout = |env_id| {
+            let made = fakes::rollout(EnvId(env_id), Iteration(0), PolicyVersion(0));
+            let made = Rollout { snapshot: vec![1], ..made };
+            made.check(&config.spec.env, 1, 0).unwrap()
+        };
+        vec![rollout(0), rollout(1)]
+    }
+
     /// Writes what is saved right after the update, with rollouts of the next one waiting, and begins again from it.
     #[test]
     fn a_run_that_was_killed_between_its_last_update_and_its_end_balances() {
@@ -213,12 +223,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let mut store = CheckpointStore::open(directory.path(), config.retention).unwrap();
         let mut trainer = begin(&config, &mut store).unwrap().trainer;
-        let rollout = |env_id| {
-            let made = fakes::rollout(EnvId(env_id), Iteration(0), PolicyVersion(0));
-            let made = Rollout { snapshot: vec![1], ..made };
-            made.check(&config.spec.env, 1, 0).unwrap()
-        };
-        trainer.update(&[rollout(0), rollout(1)]).unwrap();
+        trainer.update(&batch(&config)).unwrap();
         let sender = (ActorId::new("a").unwrap(), Incarnation(1));
         let mut books = Books::default();
         books.trained = 2;

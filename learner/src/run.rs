@@ -130,10 +130,13 @@ pub async fn run(
     }
     sink.on_event(&RunEvent::Listening { locators: link.locators() });
     let mut run = RunLoop::new(config, store, sink, point, link, evaluations)?;
-    let result = run.live(&events, &stop).await;
-    if let Err(error) = &result {
-        run.fail(error, &events, &stop).await;
-    }
+    let result = match run.live(&events, &stop).await {
+        Ok(end) => run.end(&events, end, &stop).await,
+        Err(error) => {
+            run.fail(&error, &events, &stop).await;
+            Err(error)
+        }
+    };
     let how = result.as_ref().map_or("failed", |report| report.end.name());
     run.bulletin.finish(&json!({"kind": "end", "how": how, "update": run.version.0})).await;
     if let Err(error) = run.link.close().await {
@@ -218,21 +221,22 @@ impl RunLoop {
         })
     }
 
+    /// Goes round until there is a reason to end, and returns it.
     async fn live(
         &mut self,
         events: &flume::Receiver<LearnerEvent>,
         stop: &RunStop,
-    ) -> Result<RunReport, Error> {
+    ) -> Result<RunEnd, Error> {
         // After a stall one tick is due: lateness is counted in ticks, and nobody was heard while the loop stood still.
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             match self.next_wake(events, &mut ticks, &stop.ask).await? {
-                LearnerWake::Stop => return self.end(events, RunEnd::Stopped, stop).await,
+                LearnerWake::Stop => return Ok(RunEnd::Stopped),
                 wake => self.handle(wake, events)?,
             }
             if self.is_over() {
-                return self.end(events, RunEnd::Finished, stop).await;
+                return Ok(RunEnd::Finished);
             }
             if stop.ask.is_cancelled() {
                 continue; // No further update: the sink may have asked for exactly this many.
@@ -639,6 +643,8 @@ impl RunLoop {
         }
     }
 
+    /// Ends a run that is finished or was asked to stop. Where that fails nothing is left to do: its actors are dismissed, and what
+    /// can be saved is saved.
     async fn end(
         &mut self,
         events: &flume::Receiver<LearnerEvent>,
@@ -673,7 +679,7 @@ impl RunLoop {
         ending::report(&self.config, end, last, evaluations, self.record.clone(), books, builds)
     }
 
-    /// Ends a run that has failed. Its actors are dismissed: they would look for it until their time-out. What was trained
+    /// Ends a run that has failed on its way. Its actors are dismissed: they would look for it until their time-out. What was trained
     /// until then is whole, and is saved, unless that is what failed.
     async fn fail(
         &mut self,
@@ -690,22 +696,22 @@ impl RunLoop {
         }
     }
 
-    /// Goes on listening until the actors have left and the update under way is done, or time is up.
+    /// Goes on listening until the actors have left and the update under way is done, or time is up; then returns the first error.
     async fn farewell(&mut self, events: &flume::Receiver<LearnerEvent>) -> Result<(), Error> {
         // The run's own token may be cancelled already, and would wake this loop without end.
         let never = CancellationToken::new();
         let mut ticks = interval(TICK);
         let deadline = tokio::time::Instant::now() + FAREWELL;
+        let mut result = Ok(());
         while self.coordinator.n_actors() > 0 || self.is_training {
             let wake = self.next_wake(events, &mut ticks, &never);
-            match tokio::time::timeout_at(deadline, wake).await {
-                Ok(wake) => self.handle(wake?, events)?,
-                Err(_) => break,
-            }
+            let Ok(wake) = tokio::time::timeout_at(deadline, wake).await else { break };
+            // Whatever fails, the actors have still to be told.
+            result = result.and(self.handle(wake?, events));
             self.evaluate();
             self.act();
         }
-        Ok(())
+        result
     }
 }
 
@@ -736,10 +742,89 @@ async fn tick_or_event(
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+    use std::fs;
+    use std::path::{Path, PathBuf};
+    use std::sync::Mutex;
+
+    use leadtime_link::ListenSettings;
     use leadtime_proto::{ActorId, Incarnation};
     use tokio::time::interval_at;
 
     use super::*;
+    use crate::HeldOutMeans;
+    use crate::resume::tests::{batch, config};
+
+    /// Remembers what happens, and clears the way for checkpoints once it is told that the end cannot be saved.
+    struct Mender {
+        in_the_way: PathBuf,
+        heard: Arc<Mutex<Vec<RunEvent>>>,
+    }
+
+    impl ProgressSink for Mender {
+        fn on_update(&mut self, _progress: &UpdateProgress) {}
+
+        fn on_event(&mut self, event: &RunEvent) {
+            if let RunEvent::Unsaved { .. } = event {
+                fs::remove_file(&self.in_the_way).unwrap();
+            }
+            self.heard.lock().unwrap().push(event.clone());
+        }
+
+        fn on_policies(&mut self, _last: &RatedPolicy, _best: &RatedPolicy) {}
+
+        fn on_held_out(&mut self, _history: &[HeldOutMeans]) {}
+    }
+
+    /// Begins a run of one update in a directory; returns it with what its sink will hear.
+    async fn begun(directory: &Path) -> (RunLoop, Arc<Mutex<Vec<RunEvent>>>) {
+        let endpoint = format!("unixsock-stream/{}", directory.join("z.sock").display());
+        let listen = ListenSettings::new(vec![endpoint.parse().unwrap()]);
+        let checkpoints = directory.join("checkpoints");
+        let config = LearnerConfig { listen, checkpoints: checkpoints.clone(), ..config() };
+        let mut store = CheckpointStore::open(&checkpoints, config.retention).unwrap();
+        let point = resume::begin(&config, &mut store).unwrap();
+        let (run, domain) = (&config.run, &config.spec.task.domain);
+        let opened = LearnerLink::open(run, domain, &config.start, &config.listen).await;
+        let (link, _events) = opened.unwrap();
+        let heard = Arc::default();
+        let sink = Mender { in_the_way: checkpoints, heard: Arc::clone(&heard) };
+        (RunLoop::new(config, store, Box::new(sink), point, link, None).unwrap(), heard)
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_update_whose_weights_cannot_be_announced_ends_the_run_and_is_saved() {
+        let directory = tempfile::tempdir().unwrap();
+        let (mut run, _heard) = begun(directory.path()).await;
+        run.link.close().await.unwrap();
+        run.training.begin(batch(&run.config), BTreeSet::new()).unwrap();
+        let updated = run.training.updated().await.unwrap();
+        let error = run.trained(updated).unwrap_err();
+        assert!(matches!(error, Error::Link(_)), "{error}");
+        run.save_end(&CancellationToken::new().into()).await.unwrap();
+        let saved = run.store.newest::<Checkpoint>().unwrap().unwrap().state;
+        // The state and the record of the run are of the same update.
+        let n_rollouts: u64 = saved.record.staleness.values().sum();
+        assert_eq!((saved.trainer.version(), n_rollouts), (PolicyVersion(1), 2));
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn an_end_that_can_be_saved_after_all_is_saved_and_that_is_told() {
+        use RunEvent::{CheckpointRecovered, CheckpointWritten, Unsaved};
+        let directory = tempfile::tempdir().unwrap();
+        let (mut run, heard) = begun(directory.path()).await;
+        let checkpoints = directory.path().join("checkpoints");
+        fs::rename(&checkpoints, directory.path().join("away")).unwrap();
+        fs::write(&checkpoints, "in the way").unwrap();
+        run.save_end(&CancellationToken::new().into()).await.unwrap();
+        let heard = heard.lock().unwrap();
+        let is_told = matches!(
+            &heard[..],
+            [Unsaved { .. }, CheckpointWritten { .. }, CheckpointRecovered { .. }]
+        );
+        assert!(is_told, "{heard:?}");
+        assert!(run.saving.unsaved(Instant::now()).is_none());
+    }
 
     #[tokio::test]
     async fn a_flood_from_the_network_does_not_stop_the_clock() {

@@ -67,7 +67,8 @@ struct Wait {
     n_excused: u32,
     /// How many of those it may have beyond [`RESTORE_TICKS`]: for environments that were added to those that it had.
     n_added: u32,
-    /// The most environments with which it was given snapshots in that time.
+    /// The most environments with which it was given snapshots in that time, or had while it still restored; 0 if it was not. What
+    /// it got without snapshots is not in it: that took no time, and will if it comes back with them.
     n_most: usize,
     has_delivered: bool,
     restoring: Option<Restoring>,
@@ -185,7 +186,9 @@ impl Stragglers {
     pub(crate) fn delivered(&mut self, actor: &ActorId) {
         if let Some(wait) = self.waits.get_mut(actor) {
             (wait.n_waited, wait.n_late) = (0, 0);
-            (wait.n_excused, wait.n_added, wait.n_most) = (0, 0, 0);
+            (wait.n_excused, wait.n_added) = (0, 0);
+            // What was on its way when it was told to restore does not end that.
+            wait.n_most = if wait.restoring.is_some() { wait.n_held } else { 0 };
             wait.has_delivered = true;
         }
     }
@@ -464,11 +467,33 @@ mod tests {
     #[test]
     fn what_another_ones_failure_adds_to_a_member_that_restored_all_its_time_brings_time() {
         let lacking = counts(&[("slow", 15)]);
-        let mut s = stragglers(&[("a", 10), ("b", 5), ("slow", 15)]);
+        for has_one_on_its_way in [false, true] {
+            let mut s = stragglers(&[("a", 10), ("b", 5), ("slow", 15)]);
+            s.restores(&id("slow"), Epoch(1), 15, 15);
+            if has_one_on_its_way {
+                s.delivered(&id("slow"));
+            }
+            assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
+            s.restored(&id("slow"), Epoch(1));
+            s.restores(&id("slow"), Epoch(2), 5, 20);
+            s.assigned(&counts(&[("a", 10), ("slow", 20)]));
+            let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
+            assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
+        }
+    }
+
+    #[test]
+    fn what_came_without_a_snapshot_brings_time_when_it_comes_back_with_one() {
+        let lacking = counts(&[("slow", 15)]);
+        let mut s = stragglers(&[("a", 15), ("slow", 15)]);
         s.restores(&id("slow"), Epoch(1), 15, 15);
         assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
         s.restored(&id("slow"), Epoch(1));
-        s.restores(&id("slow"), Epoch(2), 5, 20);
+        // Five that have just begun come, another one steps them for a while, and they come back.
+        for n_held in [20, 15] {
+            s.assigned(&counts(&[("a", 30 - n_held), ("slow", n_held)]));
+        }
+        s.restores(&id("slow"), Epoch(4), 5, 20);
         s.assigned(&counts(&[("a", 10), ("slow", 20)]));
         let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
         assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));

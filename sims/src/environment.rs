@@ -98,7 +98,8 @@ pub struct Insight {
     pub word: Option<Word>,
 }
 
-/// The layout of every environment's snapshots; a change to any of them adds 1.
+/// The layout of every environment's snapshots; a change to any of them adds 1. A choice behind all others, such as a car's role on
+/// the highway, is none: what was written before is read as it was meant, and an earlier build refuses what has the new one.
 const SNAPSHOT_SCHEMA: u32 = 3;
 /// How a snapshot begins; what was written before there was a schema does not.
 const SNAPSHOT_MARK: [u8; 4] = *b"ltS\xf5";

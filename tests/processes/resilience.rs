@@ -389,9 +389,14 @@ fn a_learner_stopped_during_a_long_update_saves_the_state_before_it() {
 fn a_learner_that_is_asked_twice_ends_at_once_and_saves_nothing() {
     let place = Place::new();
     let (learner, helper) = in_a_long_update(&place);
-    signal("TERM", learner.id());
-    wait_for_words(&learner, "asked to terminate");
-    signal("TERM", learner.id());
+    signal("STOP", learner.id());
+    let status = format!("/proc/{}/status", learner.id());
+    let stands_still = || fs::read_to_string(&status).is_ok_and(|it| it.contains("State:\tT"));
+    wait_until("it stands still", PATIENCE, stands_still);
+    // Both wait for it to go on, so the second comes right after the first, however busy the machine is.
+    for name in ["TERM", "INT", "CONT"] {
+        signal(name, learner.id());
+    }
     learner.finish(PATIENCE).with_code(130);
     // Asked once, it waits for the update for two seconds, and saves the state before it.
     assert!(checkpoints(&place.run("r")).is_empty(), "it has taken its time");
@@ -409,22 +414,25 @@ fn assert_newest_checkpoint_is_of_the_end(place: &Place) {
 #[test]
 fn an_interrupted_learner_leaves_a_checkpoint_in_time_and_its_actor_comes_back_to_the_next() {
     let place = Place::new();
-    // Four times as long as the others, so that it is under way when the signal comes; no checkpoint is due before.
-    let total = "--set learner.total_steps=40960 --set run.checkpoint_every=1000";
-    let first = learner(&place, total);
+    // It cannot end before the signal comes, and no checkpoint is due before.
+    let rare = "--set run.checkpoint_every=1000";
+    let first = learner(&place, &format!("{LONG} {rare}"));
     let helper = actor(&place, "a");
-    wait_for_updates(&place.run("r"), 6);
+    let run = place.run("r");
+    wait_for_updates(&run, 6);
     signal("TERM", first.id());
     first.finish(SOON).with_code(130);
     // Dismissed, it ends well: a service manager that starts only what failed again would leave it at that.
     helper.finish(PATIENCE).with_code(0);
-    assert!(result(&place.run("r")).is_null(), "an interrupted run is unfinished");
+    assert!(result(&run).is_null(), "an interrupted run is unfinished");
     assert_newest_checkpoint_is_of_the_end(&place);
     // Its service manager starts it again at once, before there is a learner.
     let helper = actor(&place, "a");
     wait_for_words(&helper, "looking for a learner");
-    finish(learner(&place, total), [helper]).saying(&["resumed from update", "actor joined: a"]);
-    let straight = Place::new();
-    finish(learner(&straight, total), [actor(&straight, "b")]);
-    assert_eq!(digest(&place), digest(&straight));
+    let longer = format!("{LONG} {rare} --stop-after {}", updates(&run) + 40);
+    let resumed = finish(learner(&place, &longer), [helper]);
+    let resumed = resumed.saying(&["resumed from update", "actor joined: a"]);
+    let elsewhere = Place::new();
+    let straight = finish(learner(&elsewhere, &longer), [actor(&elsewhere, "b")]);
+    assert_eq!(outcome(&resumed), outcome(&straight));
 }

@@ -268,7 +268,7 @@ fn what_is_said_in_the_time_of_a_voice_is_replayed_exactly() {
         let own = &own["sessions"][0];
         assert_eq!((&own["difference"], &own["events_lost"]), (&Value::Null, &json!(0)), "{own}");
         assert_eq!((&own["is_same_policy"], &own["is_same_voice"]), (&json!(true), &json!(true)));
-        assert_eq!((&own["gaps"], &own["replayed"]), (&json!([]), &own["recorded"]), "{own}");
+        assert_eq!((&own["gaps"], &own["replayed"]), (&json!({}), &own["recorded"]), "{own}");
         // Words of another voice end at other times, for no fault of the policy.
         let other = place.finish(&["replay r.mcap --voice text --json"]).with_code(0).json();
         let other = &other["sessions"][0];

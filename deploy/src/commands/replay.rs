@@ -1,5 +1,6 @@
 //! `leadtime replay`: the observations of a recording again, and whether the same is said.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread;
@@ -418,7 +419,8 @@ fn shortened(text: &str, width: usize) -> String {
 fn as_json(played: &PlayedSession) -> Value {
     let PlayedSession { session, is_same, other_voice, outcome } = played;
     let tally = |of: &leadtime_recording::MessageTally| json!({"messages": of.n_messages, "cut": of.n_cut, "mean_k": of.mean_k(), "mean_l": of.mean_l()});
-    let gaps: Vec<&str> = session.gaps.keys().map(|gap| gap.as_str()).collect();
+    let gaps: BTreeMap<&str, usize> =
+        session.gaps.iter().map(|(gap, n)| (gap.as_str(), *n)).collect();
     let difference = outcome.difference.as_ref().map(|it| {
         let list = |events: &[HeardSay]| events.iter().map(described).collect::<Vec<_>>();
         json!({

@@ -280,7 +280,8 @@ fn reasons(
     }
 }
 
-/// Refuses a listener whom no message moves: every one would be paid for in vain, and a policy would learn silence.
+/// Refuses a listener whom no message moves: every one would be paid for in vain, and a policy would learn silence. Also where
+/// somebody else plays them, and it would not count: settings for two are those of a run, in which a policy may have to speak alone.
 fn check_follow_through<D: Domain>(
     domain: &D,
     human: &HumanSettings,

@@ -339,6 +339,18 @@ fn broken_snapshots_are_refused() {
     }
 }
 
+/// Another number under one schema would make an ego of a merging car.
+#[test]
+fn roles_keep_their_numbers_in_snapshots() {
+    let roles = [CarRole::Traffic, CarRole::Ego, CarRole::Merging, CarRole::Merged];
+    let written = roles.map(|role| {
+        let mut bytes = Vec::new();
+        write_snapshot(&role, &mut bytes);
+        bytes
+    });
+    assert_eq!(written, [[0], [1], [2], [3]]);
+}
+
 /// Finite they are, and no rollout may hold what becomes of them.
 #[test]
 fn a_snapshot_of_a_drive_that_cannot_have_been_is_refused() {
