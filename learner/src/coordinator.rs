@@ -474,9 +474,9 @@ impl Coordinator {
         match receive::open::<Rollout>(header, payload, receive::ROLLOUT) {
             Err(refusal) => self.refuse(&key, refusal, true),
             Ok(rollout) => {
-                let place = (rollout.env_id, rollout.iteration);
+                let (env_id, iteration) = (rollout.env_id, rollout.iteration);
                 match self.read(header, rollout) {
-                    Err(refusal) => self.refuse_read(&key, header, place, refusal),
+                    Err(refusal) => self.refuse_read(&key, header, env_id, iteration, refusal),
                     Ok(rollout) => self.place(&key, header.epoch, rollout),
                 }
             }

@@ -85,15 +85,15 @@ impl Coordinator {
         self.pass_on(key, envs, SnapshotFault::Unreadable);
     }
 
-    /// Refuses a rollout that could be decoded: the `place` is its environment and iteration.
+    /// Refuses a rollout that could be decoded.
     pub(super) fn refuse_read(
         &mut self,
         key: &SenderKey,
         header: &Header,
-        place: (EnvId, Iteration),
+        env_id: EnvId,
+        iteration: Iteration,
         refusal: Refusal,
     ) {
-        let (env_id, iteration) = place;
         let is_owned = self.assigner.owns(key, header.epoch, env_id);
         let is_due = self.doubts_due.get(key).is_some_and(|envs| envs.contains(&env_id))
             && self.queue.doubters(env_id).contains_key(&key.0);
