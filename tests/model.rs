@@ -1,9 +1,10 @@
 //! A learner's and its actors' decisions, driven together in virtual time through a network that loses, delays,
-//! repeats and reorders messages, while processes die and come back, fall silent, or send states that nobody can
-//! restore, and while somebody else gives the actors orders.
+//! repeats and reorders messages, while processes die and come back, fall silent, send rollouts that are refused, states that nobody
+//! can restore, or states that lead whoever restores them to what is refused, and while somebody else gives the actors orders.
 //!
 //! Environments are hash chains, so that a rollout shows everything that went into it: whatever happened on the way,
-//! a deterministic schedule trains on the same numbers as a loop without processes.
+//! a deterministic schedule trains on the same numbers as a loop without processes, and no honest actor is cut off for what follows from
+//! another one's state.
 
 #![expect(clippy::unwrap_used, reason = "a test that cannot go on says where")]
 
@@ -59,26 +60,38 @@ struct Chain {
     env_id: EnvId,
     iteration: Iteration,
     state: u64,
+    /// In how many rollouts it comes to what no rollout may hold, if somebody has made up a state of it.
+    curse: Option<u8>,
 }
 
 impl Chain {
     /// Restores one; the error names an environment that cannot be restored.
     fn restore(given: &EnvAssignment) -> Result<Self, EnvId> {
         let (env_id, iteration) = (given.env_id, given.iteration);
-        let state = match given.snapshot.as_slice() {
-            [] => Ok(mix(u64::from(env_id.0) << 32 | iteration.0)),
-            bytes => bytes.try_into().map(u64::from_le_bytes),
+        let (state, curse) = match given.snapshot.as_slice() {
+            [] => (Ok(mix(u64::from(env_id.0) << 32 | iteration.0)), None),
+            [state @ .., curse] if state.len() == 8 => {
+                (state.try_into().map(u64::from_le_bytes), Some(*curse))
+            }
+            bytes => (bytes.try_into().map(u64::from_le_bytes), None),
         };
-        state.map(|state| Self { env_id, iteration, state }).or(Err(env_id))
+        state.map(|state| Self { env_id, iteration, state, curse }).or(Err(env_id))
     }
 
     fn rollout(&mut self, version: PolicyVersion) -> Rollout {
         self.state = mix(self.state ^ mix(version.0));
-        let rollout = Rollout {
+        let mut rollout = Rollout {
             observations: vec![(self.state % (1 << 24)) as f32],
             snapshot: self.state.to_le_bytes().to_vec(),
             ..fakes::rollout(self.env_id, self.iteration, version)
         };
+        if let Some(n_left) = &mut self.curse {
+            if *n_left == 0 {
+                rollout.rewards[0] = f32::NAN;
+            }
+            *n_left = n_left.saturating_sub(1);
+            rollout.snapshot.push(*n_left);
+        }
         self.iteration = self.iteration.next();
         rollout
     }
@@ -147,8 +160,19 @@ struct ActorModel {
     deaf_until: u64,
     /// It takes part in everything but the work.
     is_mute: bool,
+    /// What is wrong with what it sends.
+    vice: Option<Vice>,
+}
+
+/// What is wrong with what an actor sends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Vice {
     /// Its snapshots are rubbish.
-    is_poisonous: bool,
+    Rubbish,
+    /// Its snapshots can be restored, and lead to what is refused.
+    Curses,
+    /// Many of its rollouts hold what no rollout may hold.
+    Nonsense,
 }
 
 type Arrival = Box<dyn FnOnce(&mut World)>;
@@ -163,11 +187,16 @@ struct World {
     learner: Option<LearnerModel>,
     /// The keys of every start of an actor so far.
     starts: BTreeMap<Incarnation, StartKey>,
+    /// What is wrong with some of them.
+    vices: BTreeMap<Incarnation, Vice>,
     /// The newest checkpoint, with the rollouts that waited then.
     saved: (CoordinatorStart, u64),
     actors: Vec<Option<ActorModel>>,
     trained: Vec<Trained>,
     n_lost_snapshots: u64,
+    /// Rollouts of honest actors that were refused, and actors that were cut off.
+    n_misled: u64,
+    n_cut_off: u64,
     /// What went wrong on purpose, and how often.
     faults: BTreeMap<&'static str, u64>,
 }
@@ -187,10 +216,13 @@ impl World {
             n_numbers: 0,
             learner: None,
             starts: BTreeMap::new(),
+            vices: BTreeMap::new(),
             saved: (CoordinatorStart::default(), 0),
             actors: Vec::new(),
             trained: Vec::new(),
             n_lost_snapshots: 0,
+            n_misled: 0,
+            n_cut_off: 0,
             faults: FAULTS.map(|fault| (fault, 0)).into(),
         };
         if let Some(lag) = world.dice(5).checked_sub(1) {
@@ -288,9 +320,27 @@ impl World {
                     let to = (to, credit.incarnation);
                     self.send(move |w| w.arrive(&to, ActorInput::Credit(credit)));
                 }
-                Effect::Event(RunEvent::SnapshotLost { .. }) => self.n_lost_snapshots += 1,
-                Effect::Event(_) => {}
+                Effect::Event(event) => self.note(&event),
             }
+        }
+    }
+
+    /// Takes in what the learner reports.
+    fn note(&mut self, event: &RunEvent) {
+        match event {
+            RunEvent::SnapshotLost { .. } => self.n_lost_snapshots += 1,
+            RunEvent::InheritedRefused { actor, .. } => {
+                let is_it = |key: &ActorKey| key.0 == *actor && !self.vices.contains_key(&key.1);
+                self.n_misled += u64::from(self.keys().iter().any(is_it));
+            }
+            RunEvent::CutOff { actor, incarnation, reason } => {
+                self.n_cut_off += 1;
+                // Two that are refused, wherever they go on from, are believed.
+                let n_liars = self.vices.values().filter(|it| **it == Vice::Nonsense).count();
+                let is_earned = self.vices.contains_key(incarnation) || n_liars > 1;
+                assert!(is_earned, "{actor} is honest: {reason}");
+            }
+            _ => {}
         }
     }
 
@@ -475,13 +525,18 @@ impl World {
         let start = StartKey::numbered(self.number());
         let incarnation = start.incarnation();
         self.starts.insert(incarnation, start);
-        let (mute, poisonous) = (self.dice(6) == 0, self.dice(8) == 0);
-        self.actors[index] = Some(ActorModel {
-            incarnation,
-            is_mute: mute && !self.is_calm(),
-            is_poisonous: poisonous && !self.is_calm(),
-            ..ActorModel::default()
-        });
+        let (mute, vice) = (self.dice(6) == 0, self.dice(16));
+        let vice = match vice {
+            0 => Some(Vice::Rubbish),
+            1 => Some(Vice::Curses),
+            2 => Some(Vice::Nonsense),
+            _ => None,
+        };
+        let vice = vice.filter(|_| !self.is_calm());
+        self.vices.extend(vice.map(|vice| (incarnation, vice)));
+        let is_mute = mute && !self.is_calm();
+        self.actors[index] =
+            Some(ActorModel { incarnation, is_mute, vice, ..ActorModel::default() });
         let key = (actor_id(index), incarnation);
         self.say_first_hello(&key);
         self.connect(&key);
@@ -729,7 +784,7 @@ impl World {
     /// From now on nothing goes wrong any more; whoever cannot or will not work is replaced.
     fn calm(&mut self) {
         for key in self.keys() {
-            if self.alive(&key).is_some_and(|actor| actor.is_mute || actor.is_poisonous) {
+            if self.alive(&key).is_some_and(|actor| actor.is_mute || actor.vice.is_some()) {
                 self.end_actor(&key);
             }
         }
@@ -748,8 +803,16 @@ impl ActorModel {
         let chains = self.chains.values_mut().filter(|chain| Some(chain.iteration) == lowest);
         let encode = |chain: &mut Chain| {
             let mut rollout = chain.rollout(version);
-            if self.is_poisonous {
-                rollout.snapshot = vec![1];
+            match self.vice {
+                Some(Vice::Rubbish) => rollout.snapshot = vec![1],
+                Some(Vice::Curses) => {
+                    rollout.snapshot.truncate(8);
+                    rollout.snapshot.push((chain.state % 3) as u8);
+                }
+                Some(Vice::Nonsense) if chain.state.is_multiple_of(4) => {
+                    rollout.values[0] = f32::INFINITY;
+                }
+                _ => {}
             }
             let payload = codec::encode(&rollout).unwrap();
             let plain = Header::plain(Schema::Rollout, self.incarnation, &payload);
@@ -774,7 +837,7 @@ fn reference(schedule: Schedule, n_envs: usize, n_updates: usize) -> Vec<Trained
 
 #[test]
 fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
-    let (mut n_compared, mut n_lost) = (0, 0);
+    let (mut n_compared, mut n_lost, mut n_misled, mut n_cut_off) = (0, 0, 0, 0);
     let mut faults = BTreeMap::new();
     for seed in 0..N_RUNS {
         let mut world = World::new(seed).run();
@@ -793,10 +856,13 @@ fn a_run_survives_all_faults_with_the_same_rollouts_and_balanced_books() {
             n_compared += 1;
         }
         n_lost += world.n_lost_snapshots;
+        n_misled += world.n_misled;
+        n_cut_off += world.n_cut_off;
         world.faults.into_iter().for_each(|(fault, n)| *faults.entry(fault).or_insert(0) += n);
     }
     assert!(n_compared >= N_RUNS / 4, "only {n_compared} of {N_RUNS} could be compared");
     // On average more than one of each kind in two runs.
     assert!(faults.values().all(|n| *n > N_RUNS / 2), "some hardly ever happened: {faults:?}");
     assert!(n_lost > 0, "no state was ever lost");
+    assert!(n_misled > 0 && n_cut_off > 0, "{n_misled} misled, {n_cut_off} cut off");
 }

@@ -192,8 +192,8 @@ fn log(event: &RunEvent) {
     use RunEvent::{
         ActorJoined, ActorLeft, Assigned, Astray, CheckpointDamaged, CheckpointFailed,
         CheckpointRecovered, CheckpointWritten, CutOff, Distrusted, Evaluating, EvaluationFailed,
-        Listening, OtherBuild, Paused, Reached, Refused, Resumed, SnapshotLost, SnapshotRefused,
-        Stopping, TooManyActors, Unsaved, WaitingForActors, WaitingForRollouts,
+        InheritedRefused, Listening, OtherBuild, Paused, Reached, Refused, Resumed, SnapshotLost,
+        SnapshotRefused, Stopping, TooManyActors, Unsaved, WaitingForActors, WaitingForRollouts,
     };
     match event {
         Listening { locators } if locators.is_empty() => {
@@ -234,7 +234,7 @@ fn log(event: &RunEvent) {
             let (envs, time) = (counted(n_envs, "environment"), duration(*waited));
             warn!("waiting for rollouts of actor {actor} ({envs}), for {time} so far");
         }
-        Astray { .. } | Distrusted { .. } => log_wrong_way(event),
+        Astray { .. } | Distrusted { .. } | InheritedRefused { .. } => log_wrong_way(event),
         TooManyActors { n_actors, n_envs } => {
             let idle = "some have nothing to do (see learner.n_envs)";
             let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
@@ -244,7 +244,7 @@ fn log(event: &RunEvent) {
             warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot");
         }
         SnapshotLost { env_id } => {
-            warn!(%env_id, "nobody can restore the environment from its snapshot: its last rollout is made again, or a fresh episode begins");
+            warn!(%env_id, "nobody can go on with the environment from its snapshot: its last rollouts are made again, or a fresh episode begins");
         }
         CheckpointWritten { path, n_updates } => {
             debug!(n_updates, checkpoint = %path.display(), "checkpointed");
@@ -286,6 +286,16 @@ fn log_wrong_way(event: &RunEvent) {
                 %actor,
                 "the actor follows assignment {told}, which this learner did not give: it gets its environments anew. If \
                  that happens again, somebody else gives orders on this network (see --tls)"
+            );
+        }
+        RunEvent::InheritedRefused { actor, env_id, begun_by, reason } => {
+            let begun_by = begun_by.as_ref().map_or("unknown", |actor| actor.as_str());
+            warn!(
+                %actor,
+                %env_id,
+                begun_by,
+                "a rollout is refused: {reason}. It may follow from what others made of the episode before, so that it is \
+                 not charged to the actor, and another one tries to go on from there"
             );
         }
         _ => {}

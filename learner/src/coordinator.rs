@@ -15,7 +15,8 @@
 //!
 //! * Everything that arrives in order is counted exactly once in the [`Books`].
 //! * After a refused rollout its sender gets its environments anew, from their newest snapshots: the refused
-//!   one will not come again, so without that its environment would wait for ever.
+//!   one will not come again, so without that its environment would wait for ever. One that may follow from what another actor sent
+//!   of the environment goes to a third one instead.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -45,7 +46,6 @@ const MAX_ASTRAY: u32 = 3;
 /// Ticks of owing a rollout after which a member that says hello, and has nothing on its way, does not have the environments
 /// that it was given: a little less than an actor without environments waits before it says so.
 const IDLE_TICKS: u64 = 16;
-const WRONG_DOUBT: &str = "another actor restored the snapshot that it could not";
 /// The most bytes of snapshots in one assignment; more environments go into a second one. A checkpoint has to hold the snapshots of
 /// all environments, so there are fewer parts than messages may wait for an actor.
 const ASSIGNMENT_BYTES: usize = limits::MAX_CONTROL_BYTES / 2;
@@ -160,6 +160,8 @@ pub struct Coordinator {
     rebalance_due: bool,
     /// Environments may wait for an actor: they are given once for all that has happened.
     orphans_due: bool,
+    /// Environments whose owners were refused for what they made from others' snapshots: they are given away once, too.
+    doubts_due: BTreeMap<SenderKey, BTreeSet<EnvId>>,
     /// Starts of actors whose lost rollouts are in the books, and that were not in the checkpoint.
     n_losers: usize,
     credit_due: BTreeSet<ActorId>,
@@ -183,6 +185,7 @@ impl Coordinator {
             stage: RunStage::Gathering,
             rebalance_due: false,
             orphans_due: false,
+            doubts_due: BTreeMap::new(),
             n_losers: 0,
             credit_due: BTreeSet::new(),
             effects: Vec::new(),
@@ -338,9 +341,17 @@ impl Coordinator {
     /// Notes that an actor follows the assignment that it was given: its environments are ready.
     pub fn followed(&mut self, key: &SenderKey, membership: MembershipNumber, epoch: Epoch) {
         if self.is_current(key, membership) {
-            self.stragglers.restored(&key.0, epoch);
+            self.note_followed(key, epoch);
         }
         self.answered(key, membership);
+    }
+
+    /// Notes that a member has answered an assignment, whether it can restore all of it or not.
+    fn note_followed(&mut self, key: &SenderKey, epoch: Epoch) {
+        self.stragglers.restored(&key.0, epoch);
+        if let Some(sender) = self.roster.sender(key) {
+            sender.follows(epoch);
+        }
     }
 
     /// Notes that an actor acknowledged no message of this membership: it is given up, unless it has come back meanwhile.
@@ -460,9 +471,15 @@ impl Coordinator {
         if made_before {
             return self.supersede();
         }
-        match self.read(header, payload) {
+        match receive::open::<Rollout>(header, payload, receive::ROLLOUT) {
             Err(refusal) => self.refuse(&key, refusal, true),
-            Ok(rollout) => self.place(&key, header.epoch, rollout),
+            Ok(rollout) => {
+                let (env_id, iteration) = (rollout.env_id, rollout.iteration);
+                match self.read(header, rollout) {
+                    Err(refusal) => self.refuse_read(&key, header, env_id, iteration, refusal),
+                    Ok(rollout) => self.place(&key, header.epoch, rollout),
+                }
+            }
         }
     }
 
@@ -577,6 +594,7 @@ impl Coordinator {
 
     /// Returns what is to be done since the last call.
     pub fn take_effects(&mut self) -> Vec<Effect> {
+        self.settle_doubts();
         self.take_orphans();
         // Last, and one message per actor: many rollouts in a row are acknowledged together.
         for actor in std::mem::take(&mut self.credit_due) {
@@ -677,9 +695,8 @@ impl Coordinator {
         self.effects.push(Effect::Event(event));
     }
 
-    fn read(&self, header: &Header, payload: &[u8]) -> Result<CheckedRollout, Refusal> {
+    fn read(&self, header: &Header, rollout: Rollout) -> Result<CheckedRollout, Refusal> {
         let spec = &self.settings.spec;
-        let rollout: Rollout = receive::open(header, payload, receive::ROLLOUT)?;
         let rollout =
             rollout.check(&spec.env, spec.n_steps as usize, spec.policy.recurrent_dim())?;
         let env_id = rollout.env_id;
@@ -732,22 +749,27 @@ impl Coordinator {
                 let staleness = self.version.0.saturating_sub(rollout.version.0);
                 sender.delivered(rollout.iteration, staleness);
             }
-            // A rollout from there on proves that the snapshot was sound: who could not restore it has a fault of its
-            // own.
-            let doubters = self.queue.accept(key.clone(), rollout);
-            for actor in doubters.into_iter().filter(|doubter| *doubter != key.0) {
-                self.stragglers.fail(&actor, 0);
-                self.rebalance_due = true;
-                self.tell(RunEvent::Distrusted { actor, reason: WRONG_DOUBT });
-            }
+            self.accept(key, rollout);
         }
     }
 
     fn refuse(&mut self, key: &SenderKey, refusal: Refusal, sequenced: bool) {
-        let Refusal { cause, text, .. } = refusal;
-        self.books.refuse(cause, sequenced);
+        self.books.refuse(refusal.cause, sequenced);
+        self.charge(key, refusal);
+        if sequenced
+            && self.roster.is_member(key)
+            && let Some(change) = self.assigner.renew(&key.0)
+        {
+            // Which environment it was of cannot be known if it cannot be decoded: all of the sender's are given anew.
+            self.assign(change);
+        }
+    }
+
+    /// Holds a refusal against its sender, which is cut off if it was one too many.
+    fn charge(&mut self, key: &SenderKey, refusal: Refusal) {
         let Some(sender) = self.roster.sender(key) else { return };
-        let outcome = sender.refuse(cause);
+        let outcome = sender.refuse(refusal.cause);
+        let Refusal { cause, text, .. } = refusal;
         if outcome.first {
             let (actor, reason) = (Some(key.0.clone()), text.to_string());
             self.tell(RunEvent::Refused { actor, cause, reason });
@@ -756,12 +778,6 @@ impl Coordinator {
             let reason =
                 format!("the learner refused too many of its messages; the last one: {text}");
             self.cut_off(key, reason);
-        } else if sequenced
-            && self.roster.is_member(key)
-            && let Some(change) = self.assigner.renew(&key.0)
-        {
-            // Which environment it was of cannot be known if it cannot be decoded: all of the sender's are given anew.
-            self.assign(change);
         }
     }
 

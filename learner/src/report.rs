@@ -190,7 +190,19 @@ pub enum RunEvent {
         /// The environment that it cannot restore.
         env_id: EnvId,
     },
-    /// No actor can restore an environment from its snapshot: its last rollout is made again if it still waited, or it
+    /// A rollout is refused for what it holds, and that may follow from what others made of the episode before: it is not charged to
+    /// its sender, and another actor tries to go on from the same snapshot.
+    InheritedRefused {
+        /// The actor that sent the rollout.
+        actor: ActorId,
+        /// The environment that it is of.
+        env_id: EnvId,
+        /// The actor that began the episode; `None` if that was before this start of the learner.
+        begun_by: Option<ActorId>,
+        /// The refusal as a sentence.
+        reason: String,
+    },
+    /// No actor goes on with an environment from its snapshot: its last rollouts are made again if they still waited, or it
     /// begins a fresh episode.
     SnapshotLost {
         /// The environment whose snapshot is given up.

@@ -16,17 +16,20 @@
 //! * A deterministic schedule bounds the queue by itself (an actor cannot act ahead of the weights); `async`
 //!   is bounded by [`RolloutQueue::room`], which is all that the learner gives credit for.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use leadtime_proto::message::EnvAssignment;
 use leadtime_proto::{
-    ActorId, CheckedRollout, EnvId, Iteration, PolicyVersion, Schedule, Staleness,
+    ActorId, CheckedRollout, EnvId, Iteration, PolicyVersion, Refusal, Schedule, Staleness,
 };
 
 use crate::books::SenderKey;
 
 /// How many updates' worth of rollouts `async` lets wait.
 const QUEUED_UPDATES: usize = 2;
+
+/// The actors that do not go on from a snapshot, each with the refusals of what it made from it; without one it cannot restore it.
+pub type Doubters = BTreeMap<ActorId, Vec<Refusal>>;
 
 /// A rollout boundary of one environment.
 #[derive(Clone, Debug, Default)]
@@ -37,13 +40,25 @@ struct Cursor {
     snapshot: Vec<u8>,
     /// Who sent the snapshot; `None` for one from a checkpoint.
     author: Option<SenderKey>,
+    /// Who began the episode that goes on there; `None` if that was before a checkpoint.
+    begun_by: Option<SenderKey>,
 }
 
 #[derive(Debug)]
 struct Waiting {
     arrival: u64,
     author: SenderKey,
+    /// As of [`Cursor`], where the rollout ends.
+    begun_by: Option<SenderKey>,
     rollout: CheckedRollout,
+}
+
+/// The state at an environment's newest boundary, and who is answerable for it.
+#[derive(Debug)]
+struct NewestState<'a> {
+    snapshot: &'a [u8],
+    author: Option<&'a SenderKey>,
+    begun_by: Option<&'a SenderKey>,
 }
 
 #[derive(Debug, Default)]
@@ -51,8 +66,8 @@ struct EnvQueue {
     consumed: Cursor,
     training: Option<Cursor>,
     waiting: VecDeque<Waiting>,
-    /// The actors that could not restore the newest snapshot.
-    doubters: BTreeSet<ActorId>,
+    /// The actors that did not go on from the newest snapshot.
+    doubters: Doubters,
 }
 
 impl EnvQueue {
@@ -67,13 +82,30 @@ impl EnvQueue {
         Iteration(taken.iteration.0 + self.waiting.len() as u64)
     }
 
+    fn newest(&self) -> NewestState<'_> {
+        let taken = self.training.as_ref().unwrap_or(&self.consumed);
+        match self.waiting.back() {
+            Some(last) => NewestState {
+                snapshot: &last.rollout.snapshot,
+                author: Some(&last.author),
+                begun_by: last.begun_by.as_ref(),
+            },
+            None => NewestState {
+                snapshot: &taken.snapshot,
+                author: taken.author.as_ref(),
+                begun_by: taken.begun_by.as_ref(),
+            },
+        }
+    }
+
     fn take(&mut self) -> Option<CheckedRollout> {
-        let Waiting { author, mut rollout, .. } = self.waiting.pop_front()?;
+        let Waiting { author, begun_by, mut rollout, .. } = self.waiting.pop_front()?;
         // A second rollout of the same environment in one `async` batch replaces this boundary by its own, later one.
         self.training = Some(Cursor {
             iteration: rollout.iteration.next(),
             snapshot: rollout.take_snapshot(),
             author: Some(author),
+            begun_by,
         });
         Some(rollout)
     }
@@ -85,7 +117,7 @@ impl EnvQueue {
     }
 }
 
-/// What happens to an environment whose newest snapshot cannot be restored.
+/// What happens to an environment whose newest snapshot is given up.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Recovery {
     /// The rollout that ended there was still waiting: it is dropped and made again. Who sent it.
@@ -111,7 +143,11 @@ impl RolloutQueue {
     /// Starts from where the environments stand: a checkpoint's places, or the beginning.
     pub fn new(schedule: Schedule, places: Vec<EnvAssignment>) -> Self {
         let queue = |place: EnvAssignment| EnvQueue {
-            consumed: Cursor { iteration: place.iteration, snapshot: place.snapshot, author: None },
+            consumed: Cursor {
+                iteration: place.iteration,
+                snapshot: place.snapshot,
+                ..Cursor::default()
+            },
             ..EnvQueue::default()
         };
         // Where a fresh episode begins, that of before may have been given up.
@@ -133,15 +169,19 @@ impl RolloutQueue {
         self.envs.get(env_id.0 as usize).map(EnvQueue::expected)
     }
 
-    /// Puts a rollout into the queue. Returns the actors that had failed to restore the snapshot that it began with.
+    /// Puts a rollout into the queue. Returns the actors that had not gone on from the snapshot that it began with.
     ///
     /// # Panics
     ///
     /// If it is not the environment's expected one: the caller checks.
-    pub fn accept(&mut self, author: SenderKey, rollout: CheckedRollout) -> BTreeSet<ActorId> {
+    pub fn accept(&mut self, author: SenderKey, rollout: CheckedRollout) -> Doubters {
         let env = &mut self.envs[rollout.env_id.0 as usize];
         assert_eq!(rollout.iteration, env.expected(), "rollouts are accepted in order");
-        env.waiting.push_back(Waiting { arrival: self.n_arrived, author, rollout });
+        let before = env.newest();
+        // An episode depends on nothing that was before it, so whoever begins it is answerable for all of it, until others go on with it.
+        let begins = before.snapshot.is_empty() || !rollout.ends.is_empty();
+        let begun_by = if begins { Some(author.clone()) } else { before.begun_by.cloned() };
+        env.waiting.push_back(Waiting { arrival: self.n_arrived, author, begun_by, rollout });
         self.n_arrived += 1;
         // They doubted the snapshot before this one, which nobody has to restore any more.
         std::mem::take(&mut env.doubters)
@@ -173,10 +213,39 @@ impl RolloutQueue {
     /// Returns where an environment goes on when it moves: after its newest rollout.
     pub fn newest(&self, env_id: EnvId) -> EnvAssignment {
         let env = &self.envs[env_id.0 as usize];
-        let taken = env.training.as_ref().unwrap_or(&env.consumed);
-        let last = env.waiting.back().map(|waiting| &waiting.rollout.snapshot);
-        let snapshot = last.unwrap_or(&taken.snapshot).clone();
+        let snapshot = env.newest().snapshot.to_vec();
         EnvAssignment { env_id, iteration: env.expected(), snapshot }
+    }
+
+    /// Returns whether what a start of an actor makes of an environment next may follow from what others have made of it: not if it
+    /// began the episode, and nobody else went on with it.
+    pub fn is_inherited(&self, env_id: EnvId, by: &SenderKey) -> bool {
+        let newest = self.envs[env_id.0 as usize].newest();
+        let is_own = newest.author == Some(by) && newest.begun_by == Some(by);
+        !newest.snapshot.is_empty() && !is_own
+    }
+
+    /// Returns whether somebody else began the episode that goes on at an environment's newest snapshot than who sent that.
+    pub fn is_passed_on(&self, env_id: EnvId) -> bool {
+        let newest = self.envs[env_id.0 as usize].newest();
+        newest.author != newest.begun_by
+    }
+
+    /// Returns whether an actor began the episode that goes on there, or sent the snapshot.
+    pub fn had(&self, env_id: EnvId, actor: &ActorId) -> bool {
+        let newest = self.envs[env_id.0 as usize].newest();
+        [newest.author, newest.begun_by].into_iter().flatten().any(|(name, _)| name == actor)
+    }
+
+    /// Returns whether an actor is known to have had nothing to do with that episode: one other actor alone had it.
+    pub fn is_impartial(&self, env_id: EnvId, actor: &ActorId) -> bool {
+        let is_known = self.envs[env_id.0 as usize].newest().author.is_some();
+        is_known && !self.is_passed_on(env_id) && !self.had(env_id, actor)
+    }
+
+    /// Returns who began the episode that goes on there; `None` if that was before a checkpoint.
+    pub fn begun_by(&self, env_id: EnvId) -> Option<&SenderKey> {
+        self.envs[env_id.0 as usize].newest().begun_by
     }
 
     /// Returns where every environment goes on after a resume: after its last consumed rollout.
@@ -189,11 +258,31 @@ impl RolloutQueue {
         (0_u32..).zip(&self.envs).map(place).collect()
     }
 
-    /// Notes that an actor cannot restore an environment's newest snapshot. Returns all actors that cannot.
-    pub fn doubt(&mut self, env_id: EnvId, actor: &ActorId) -> &BTreeSet<ActorId> {
+    /// Notes that an actor does not go on from an environment's newest snapshot: it cannot restore it, or what it made from it was
+    /// refused.
+    pub fn doubt(&mut self, env_id: EnvId, actor: &ActorId, refusal: Option<Refusal>) {
         let doubters = &mut self.envs[env_id.0 as usize].doubters;
-        doubters.insert(actor.clone());
-        doubters
+        doubters.entry(actor.clone()).or_default().extend(refusal);
+    }
+
+    /// Returns the actors that do not go on from an environment's newest snapshot.
+    pub fn doubters(&self, env_id: EnvId) -> &Doubters {
+        &self.envs[env_id.0 as usize].doubters
+    }
+
+    /// Gives up an environment's newest snapshot, and with it all others of its episode since somebody else began that: what they
+    /// went on from may be what is wrong. Returns what happens, one after the other.
+    pub fn recover_inherited(&mut self, env_id: EnvId) -> Vec<Recovery> {
+        let mut given_up = Vec::new();
+        loop {
+            let is_passed_on = self.is_passed_on(env_id);
+            let recovery = self.recover(env_id);
+            let goes_on = is_passed_on && matches!(recovery, Recovery::Redo(_));
+            given_up.push(recovery);
+            if !goes_on {
+                return given_up;
+            }
+        }
     }
 
     /// Gives up an environment's newest snapshot.
@@ -209,6 +298,7 @@ impl RolloutQueue {
         // The iteration stays: the environment's numbering goes on, only its episode is lost. The author is taken out,
         // so that nobody is blamed twice for one snapshot.
         cursor.snapshot.clear();
+        cursor.begun_by = None;
         Recovery::FreshEpisode(cursor.author.take())
     }
 
@@ -368,16 +458,42 @@ mod tests {
     }
 
     #[test]
+    fn an_episode_that_others_went_on_with_is_given_up_as_a_whole() {
+        let mut queue = queue(Schedule::Lag(4), 1, &[(0, 0)]);
+        let (env_id, redo) = (EnvId(0), |start| Recovery::Redo(author(start)));
+        let inherited =
+            |queue: &RolloutQueue| [0, 1].map(|n| queue.is_inherited(env_id, &author(n)));
+        assert_eq!((inherited(&queue), queue.is_passed_on(env_id)), ([false, true], false));
+        for iteration in 1..3 {
+            queue.accept(author(1), rollout(0, iteration, 0));
+            assert_eq!((inherited(&queue), queue.is_passed_on(env_id)), ([true, true], true));
+        }
+        assert_eq!(queue.begun_by(env_id), Some(&author(0)));
+        assert_eq!(queue.recover_inherited(env_id), [redo(1), redo(1), redo(0)]);
+        assert_eq!(inherited(&queue), [false, false], "it begins anew");
+        // What is trained is not made again.
+        queue.accept(author(0), rollout(0, 0, 0));
+        queue.take_batch(PolicyVersion(0)).unwrap();
+        queue.accept(author(1), rollout(0, 1, 0));
+        let fresh = Recovery::FreshEpisode(Some(author(0)));
+        assert_eq!(queue.recover_inherited(env_id), [redo(1), fresh]);
+        queue.accept(author(1), rollout(0, 1, 0));
+        assert_eq!((inherited(&queue), queue.is_passed_on(env_id)), ([true, false], false));
+    }
+
+    #[test]
     fn a_snapshot_given_up_drops_its_rollout_or_begins_a_fresh_episode() {
         let mut queue = queue(Schedule::Lag(2), 1, &[(0, 0), (0, 1)]);
         let [a, b] = ["a", "b"].map(|name| ActorId::new(name).unwrap());
-        assert_eq!(queue.doubt(EnvId(0), &a).len(), 1);
-        assert_eq!(queue.doubt(EnvId(0), &b).len(), 2);
+        for (n_doubters, actor) in [(1, &a), (2, &b)] {
+            queue.doubt(EnvId(0), actor, None);
+            assert_eq!(queue.doubters(EnvId(0)).len(), n_doubters);
+        }
         assert_eq!(queue.recover(EnvId(0)), Recovery::Redo(author(1)));
         assert_eq!(queue.newest(EnvId(0)).snapshot, [0, 0]);
-        queue.doubt(EnvId(0), &a);
+        queue.doubt(EnvId(0), &a, None);
         let doubters = queue.accept(author(1), rollout(0, 1, 0));
-        assert!(doubters.iter().eq([&a]), "who doubted what another actor goes on from");
+        assert!(doubters.keys().eq([&a]), "who doubted what another actor goes on from");
         for version in 0..2 {
             queue.take_batch(PolicyVersion(version)).unwrap();
             queue.commit();

@@ -40,6 +40,8 @@ pub(crate) struct SenderState {
     pub(crate) cut_off: bool,
     /// The newest assignment that it was given.
     pub(crate) ordered: Epoch,
+    /// What it made under assignments below this one is of environments that may have been taken from it since, up to this sequence.
+    behind: (Epoch, Sequence),
     /// How often it followed another one since its last rollout that counted.
     pub(crate) n_astray: u32,
     /// Ticks in which it owed a rollout since then, since it became a member, or since it was given its environments again because
@@ -87,6 +89,23 @@ impl SenderState {
     pub(crate) fn delivered(&mut self, iteration: Iteration, staleness: u64) {
         self.newest = Some((iteration, staleness));
         (self.n_quiet_ticks, self.n_idle_ticks, self.n_astray) = (0, 0, 0);
+    }
+
+    /// Notes that all that it makes from now on is made under this assignment or a later one. What it has published is within its limit.
+    pub(crate) fn follows(&mut self, epoch: Epoch) {
+        if epoch > self.behind.0 {
+            self.behind = (epoch, self.limit);
+        }
+    }
+
+    /// Returns whether a rollout may have been made before its sender could know which environments it has now.
+    pub(crate) fn is_behind(&self, epoch: Epoch, sequence: Sequence) -> bool {
+        let (followed, made_through) = self.behind;
+        if followed < self.ordered {
+            epoch < self.ordered // It has not answered yet; if it never does, it is given up.
+        } else {
+            epoch < followed && sequence <= made_through
+        }
     }
 
     /// Returns whether it has answered an order of its newest membership.
@@ -207,10 +226,13 @@ impl Roster {
 
     /// Ends a membership: there is none before the next hello. Returns whether there was one.
     pub(crate) fn expel(&mut self, key: &SenderKey) -> bool {
+        let was_member = self.is_member(key);
         if let Some(sender) = self.senders.get_mut(key) {
             sender.has_greeted = false;
+            if was_member {
+                sender.follows(sender.ordered.next());
+            }
         }
-        let was_member = self.is_member(key);
         if was_member {
             self.n_answering -= usize::from(self.has_answered(&key.0));
             self.members.remove(&key.0);

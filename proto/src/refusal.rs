@@ -103,6 +103,13 @@ causes! {
     FreshEpisode = "fresh_episode",
 }
 
+impl RefusalCause {
+    /// Returns whether an honest actor comes to it as well if the state that it was given leads there.
+    pub fn may_be_inherited(self) -> bool {
+        matches!(self, Self::NonFinite | Self::Magnitude | Self::Action | Self::Snapshot)
+    }
+}
+
 impl fmt::Display for RefusalCause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())

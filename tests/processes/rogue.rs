@@ -74,6 +74,8 @@ impl Rogue {
                 Control::Assign(assignment) => {
                     self.epoch = assignment.epoch;
                     self.env = assignment.envs.first().cloned().unwrap_or(self.env.clone());
+                    // The honest actor's: what it lies about its own may follow from the checkpoint, as far as the learner knows.
+                    self.env.env_id = EnvId(0);
                 }
                 Control::Stop { reason, cut_off } => away = Some((reason, cut_off)),
                 Control::Wait => {}

@@ -8,6 +8,7 @@ use crate::stragglers::BACK_OFF;
 use super::*;
 
 mod checkpoints;
+mod inherited;
 mod strangers;
 
 const WINDOW: u32 = 4;

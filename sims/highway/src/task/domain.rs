@@ -22,7 +22,7 @@ use super::picture::picture;
 use super::progress::{DriveOutcome, DriveProgress};
 use super::reaction::{EGO, TOPICS, is_lane_change, react};
 use super::settings::{HighwayWorldSettings, start_lanes};
-use crate::world::{CarRole, RewardSettings, Traffic, Vehicle, quantities};
+use crate::world::{CarRole, Driver, RewardSettings, Traffic, Vehicle, quantities};
 
 /// What a step pays once the ego has arrived.
 const ARRIVED_REWARD: f64 = 1.0;
@@ -181,8 +181,11 @@ impl HighwayDomain {
     fn fits(&self, snapshot: &HighwaySnapshot) -> bool {
         let road = &self.traffic.road;
         let n_vehicles = 1 + self.settings.traffic.cars.len() + snapshot.n_admitted;
+        let n_frames = snapshot.progress.n_frames;
         let possible = |(i, vehicle): (usize, &Vehicle)| {
-            (vehicle.role == CarRole::Ego) == (i == EGO) && vehicle.is_proper(&road.network)
+            (vehicle.role == CarRole::Ego) == (i == EGO)
+                && matches!(vehicle.driver, Driver::Idm(_))
+                && vehicle.is_proper(&road.network, n_frames)
         };
         snapshot.n_admitted <= road.ramps.len()
             && snapshot.vehicles.len() == n_vehicles

@@ -8,7 +8,7 @@ use leadtime_sims::notifier::{NotifierEnv, NotifierSettings};
 use super::*;
 use crate::task::UnsafeChanges;
 use crate::task::reaction::{MERGE_LEFT, MERGE_RIGHT, SLOW_DOWN, SPEED_UP};
-use crate::world::{Driver, RoadSettings, Side};
+use crate::world::{RoadSettings, Side};
 
 fn seed(episode: u64) -> EpisodeSeed {
     EpisodeSeed { run_seed: 11, env_id: EnvId(2), episode }
@@ -375,6 +375,35 @@ fn a_snapshot_of_a_drive_that_cannot_have_been_is_refused() {
     assert_eq!(refused(|s| s.progress.hardest_braking = 1e300), Some("progress"));
     assert_eq!(refused(|s| s.vehicles[EGO].speed = 1e8), Some("cars"));
     assert_eq!(refused(|s| s.vehicles[1].target_speed = f64::NAN), Some("cars"));
+    assert_eq!(refused(|s| s.vehicles[1].position[0] = -1e12), Some("cars"));
+    assert_eq!(refused(|s| s.vehicles[1].impact = Some([0.0, 1e9])), Some("cars"));
+    assert_eq!(refused(|s| s.vehicles[1].driver = Driver::Controller), Some("cars"));
+}
+
+#[test]
+fn a_drive_that_is_let_in_is_let_in_after_every_further_step() {
+    let mut task = start(&HighwayWorldSettings::default(), 0);
+    let [ego, wreck, turned, ..] = &mut task.traffic.vehicles[..] else { panic!("four cars") };
+    // At the bounds, and on the way outwards.
+    for (car, place, heading) in [
+        (ego, [-1e9, 1e9], std::f64::consts::PI),
+        (wreck, [1e9, -1e9], 0.0),
+        (turned, [1e9, 1e9], 1e9),
+    ] {
+        (car.position, car.speed) = (place, 1e3);
+        car.face(heading);
+    }
+    let wreck = &mut task.traffic.vehicles[1];
+    (wreck.crashed, wreck.impact) = (true, Some([1e4, -1e4]));
+    if let Driver::Idm(idm) = &mut wreck.driver {
+        idm.timer = 1e9;
+    }
+    for step in 0..50 {
+        let mut bytes = Vec::new();
+        task.snapshot(&mut bytes);
+        task.restore(&bytes).unwrap_or_else(|error| panic!("step {step}: {error}"));
+        assert!(task.advance(None).end.is_none(), "step {step}");
+    }
 }
 
 #[test]

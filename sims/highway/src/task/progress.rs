@@ -40,7 +40,7 @@ pub(super) struct DriveProgress {
     pub(super) n_refused: u32,
     /// Which cars of the traffic started ahead of the ego, a bit each.
     ahead: u64,
-    n_frames: u32,
+    pub(super) n_frames: u32,
     speed_sum: f64,
     /// The hardest braking so far, in m/s².
     pub(super) hardest_braking: f64,

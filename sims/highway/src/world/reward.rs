@@ -14,8 +14,9 @@ use serde::{Deserialize, Serialize};
 use super::traffic::Traffic;
 use super::vehicle::{Driver, Vehicle};
 
-/// Far more than any car from a ramp is slower than it wants to be, as a share of that.
-const LARGEST_SHARE: f64 = 1e4;
+/// More than any car from a ramp is slower or faster than it wants to be, as a share of that; a few such cars pay less than a step may
+/// add to the sums of an episode.
+const LARGEST_SHARE: f64 = 1e2;
 
 /// Weights of the reward.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -60,7 +60,7 @@ proptest! {
         for frame in 0..600 {
             traffic.step(DT);
             for vehicle in &traffic.vehicles {
-                prop_assert!(vehicle.is_proper(traffic.network()));
+                prop_assert!(vehicle.is_proper(traffic.network(), 0));
                 let lane = traffic.network().lane(vehicle.lane);
                 let [s, r] = lane.local(vehicle.position);
                 // A wreck may be pushed aside; everybody else is on a lane, or has driven off the end of the last.

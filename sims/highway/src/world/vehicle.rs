@@ -9,6 +9,15 @@ use serde::{Deserialize, Serialize};
 use super::constants::{LENGTH, MAX_ACCELERATION, MAX_SPEED};
 use super::network::{LaneId, RoadNetwork};
 
+/// Beyond any road, in metres; and more than any car turns, in radians, and waits, in seconds.
+const FARTHEST: f64 = 1e9;
+/// More than a frame adds to any of these: what is let in is let in after every further frame, too.
+const FARTHEST_PER_FRAME: f64 = 1e5;
+/// Far beyond any speed and acceleration, in m/s and m/s²; a car that is faster than it can drive is slowed down.
+const LARGEST_RATE: f64 = 1e3;
+/// More than a collision at such a speed moves a car, in metres.
+const LARGEST_IMPACT: f64 = 1e4;
+
 /// Who drives a car.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Driver {
@@ -139,18 +148,20 @@ impl Vehicle {
         self.direction = [cosine, sine];
     }
 
-    /// Returns whether its lanes exist and its numbers are within what any drive comes to.
-    pub(crate) fn is_proper(&self, network: &RoadNetwork) -> bool {
+    /// Returns whether its lanes exist and its numbers are within what any drive of so many frames comes to. If an IDM driver is at the
+    /// wheel, that is so after every further frame, too.
+    pub(crate) fn is_proper(&self, network: &RoadNetwork, n_frames: u32) -> bool {
         let Self { position, heading, speed, acceleration, steering, target_speed, .. } = *self;
         let (timer, held_braking) = match self.driver {
             Driver::Idm(idm) => (idm.timer, idm.held_braking),
             _ => (0.0, 0.0),
         };
         let rates = [speed, acceleration, steering, target_speed, held_braking];
-        let places = position.iter().chain(self.impact.iter().flatten());
+        let farthest = FARTHEST + FARTHEST_PER_FRAME * f64::from(n_frames);
         let n_lanes = network.lanes().len();
-        places.chain([&heading, &timer]).all(|number| number.abs() <= 1e9)
-            && rates.iter().all(|rate| rate.abs() <= 1e3)
+        position.iter().chain([&heading, &timer]).all(|number| number.abs() <= farthest)
+            && self.impact.iter().flatten().all(|moved| moved.abs() <= LARGEST_IMPACT)
+            && rates.iter().all(|rate| rate.abs() <= LARGEST_RATE)
             && self.lane < n_lanes
             && self.target_lane < n_lanes
     }
