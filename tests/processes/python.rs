@@ -205,7 +205,7 @@ fn workers_close_together_and_not_one_after_the_other() {
     let mode = format!("closes-when-four-close {flag}");
     let file = config(&place, "n", &mode, &format!("{SPEC}\nbatch = 1"));
     let (at, long) =
-        (place.endpoint("n"), "--set learner.n_envs=8 --set learner.total_steps=2560000");
+        (place.endpoint("n"), "--set learner.n_envs=4 --set learner.total_steps=2560000");
     let learner = place.start(&["learner --name n --listen", &at, "-c", &file, long]);
     wait_for_words(&learner, "run opened");
     let actor = place.start(&["actor --trust-worker --workers 4 --connect", &at]);
