@@ -3,16 +3,21 @@
     python3 bench/seeds.py [PROFILE ...] [--seeds 20] [--first 30001] [--jobs 1] [--results FOLDER] [--leadtime PROGRAM]
 
 Profiles: lander, paper-lander, hard, one-layout, varying (reaction delay N(2, 1)), driving, cooking, and smoke-lander, smoke-highway,
-smoke-steakhouse, which are `leadtime smoke`. Without a name, all of them. The seeds chose nothing: searches and tables use others.
+smoke-steakhouse, which are `leadtime smoke`. Without a name, all of them. The training seeds chose nothing: searches and tables use
+others. The episodes of the evaluation are those of the searches.
 
 A training learns if it is within .05 of its profile's best. Its success is what `leadtime eval RUN --episodes 1000 --eval-seed 5900000` has:
 that of its best policy, with sampled choices. (The 200 held-out episodes of a training tell .95 from .98 only by chance.) A smoke learns
 if it ends with exit code 0; its success is that of its own evaluation. Every training is a process of its own with one actor, `--jobs` of
-them at a time, and writes FOLDER/PROFILE-SEED.json (default target/seeds). What has its file is not trained again, so the script may be
-ended and started again. It ends with a table of what is in FOLDER, and with exit code 1 if a seed has not learned.
+them at a time, and writes FOLDER/PROFILE-SEED.json (default target/seeds). What this program has written there is not trained again, so
+the script may be ended and started again; what another build has written is. It ends with a table of these seeds, and with exit code 1
+if one has not learned.
 """
 import argparse
+import hashlib
 import json
+import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -21,7 +26,10 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 NEAR = 0.05
-ONE_LAYOUT = ["world.zone_jitter=[0.001, 0.001]"]
+# Exit codes of a program that was told to end.
+INTERRUPTED = (130, 143)
+# A layout that never changes is learned on every seed with these settings (docs/results/search.md, section 13).
+ONE_LAYOUT = ["world.zone_jitter=[0.001, 0.001]", "learner.entropy_coef=0.02", "learner.total_steps=3200000"]
 VARYING = ['human.reaction_delay={ normal = { mean = 2.0, deviation = 1.0, drawn = "per_episode" } }']
 # The configuration of `leadtime up`, and what is changed in it.
 TRAININGS = {
@@ -44,32 +52,46 @@ def train(leadtime, profile, seed, folder):
     config, settings = TRAININGS[profile]
     command = [leadtime, "up", "-c", config, "--actors", "1", "--seed", str(seed), "--runs", folder, "--name", "run"]
     command += [argument for setting in settings for argument in ("--set", setting)]
-    if subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode != 0:
+    if ended(subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)) != 0:
         return None
     command = [leadtime, "eval", "run", "--runs", folder, "--episodes", "1000", "--eval-seed", "5900000", "--json"]
     return success_of(command, "policy")
 
 
+def ended(process):
+    """Returns the exit code of a program; one that a signal ended says nothing about its seed."""
+    if process.returncode < 0 or process.returncode in INTERRUPTED:
+        sys.exit(f"interrupted: {' '.join(map(str, process.args))}")
+    return process.returncode
+
+
 def success_of(command, player):
     """Runs `eval --json` or `smoke --json` and returns a player's success; None if the program failed."""
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    if done.returncode != 0:
+    if ended(done) != 0:
         return None
     summaries = json.loads(done.stdout)["comparison"]["summaries"]
     measures = next(summary["measures"] for summary in summaries if summary["player"] == player)
     return next(measure["interval"]["estimate"] for measure in measures if measure["name"] == "success")
 
 
+def result_of(options, profile, seed):
+    """Returns what this program has found for a seed; None if it has not been asked."""
+    path = options.results / f"{profile}-{seed}.json"
+    result = json.loads(path.read_text()) if path.exists() else {}
+    return result if result.get("program") == options.program else None
+
+
 def train_into(options, profile, seed):
     """Trains one seed and writes its result, unless the result is there already."""
-    result = options.results / f"{profile}-{seed}.json"
-    if result.exists():
+    if result_of(options, profile, seed):
         return
+    result = options.results / f"{profile}-{seed}.json"
     started = time.time()
     with tempfile.TemporaryDirectory() as folder:
         success = train(options.leadtime, profile, seed, folder)
     seconds = round(time.time() - started, 1)
-    result.write_text(json.dumps({"success": success, "seconds": seconds}) + "\n")
+    result.write_text(json.dumps({"success": success, "seconds": seconds, "program": options.program}) + "\n")
     print(f"{profile} {seed}: {success} in {seconds} s", file=sys.stderr, flush=True)
 
 
@@ -86,30 +108,34 @@ def main():
     unknown = set(options.profiles) - set(known)
     if unknown:
         parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(known)}")
+    program = shutil.which(options.leadtime)
+    if program is None:
+        parser.error(f"no program {options.leadtime}: build it, or name it with --leadtime")
+    options.program = hashlib.sha256(Path(program).read_bytes()).hexdigest()[:16]
     options.results.mkdir(parents=True, exist_ok=True)
     seeds = range(options.first, options.first + options.seeds)
     wanted = [(profile, seed) for profile in options.profiles for seed in seeds]
     with ThreadPoolExecutor(options.jobs) as pool:
         # The list, so that what went wrong in a thread is raised here.
         list(pool.map(lambda pair: train_into(options, *pair), wanted))
-    sys.exit(0 if report(options.results, options.profiles) else 1)
+    sys.exit(0 if report(options, seeds) else 1)
 
 
-def report(folder, profiles):
+def report(options, seeds):
     """Prints the table, and returns whether every seed has learned."""
     print("| profile | seeds | learned | success, worst to best | median | seconds each |")
     print("|---|---|---|---|---|---|")
     all_learned = True
-    for profile in profiles:
-        results = [json.loads(path.read_text()) for path in sorted(folder.glob(f"{profile}-[0-9]*.json"))]
+    for profile in options.profiles:
+        results = [result for seed in seeds if (result := result_of(options, profile, seed))]
         values = sorted(result["success"] or 0.0 for result in results)
         if not values:
             continue
         least = 0.0 if profile in SMOKES else values[-1] - NEAR - 1e-9
         learned = sum(result["success"] is not None and result["success"] >= least for result in results)
         all_learned &= learned == len(results)
-        seconds = sorted(result["seconds"] for result in results)[len(results) // 2]
-        print(f"| `{profile}` | {len(values)} | {learned} | {values[0]:.3f} to {values[-1]:.3f} | {values[len(values) // 2]:.3f} | {seconds:.0f} |")
+        seconds = statistics.median(result["seconds"] for result in results)
+        print(f"| `{profile}` | {len(values)} | {learned} | {values[0]:.3f} to {values[-1]:.3f} | {statistics.median(values):.3f} | {seconds:.0f} |")
     return all_learned
 
 

@@ -40,6 +40,7 @@ MOST_TEXT = 8 << 10
 MOST_HEADS, MOST_CHOICES = 8, 64
 MOST_PICKLE = 192 << 10  # Bytes; crates/worker/src/launch.rs has the same bound.
 EVERYTHING = 2**64 - 1
+MOST_OBSERVED = 1e9  # The largest number that a rollout may hold, either way.
 SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work.
 LINES_PER_SECOND = 10
 MOST_TRACEBACKS = 20
@@ -441,7 +442,10 @@ class Worker:
         self.first_choices = numpy.cumsum([0] + [n for _, n in self.heads[:-1]])
         # What is wrong with every episode is told before a run begins.
         observation, info = self.reset(0, 0)
-        self.observe.row(observation)
+        row = self.observe.row(observation)
+        odd = numpy.flatnonzero(~(abs(row) <= MOST_OBSERVED))
+        if odd.size:
+            raise Refused(f"`reset` returns {row[odd[0]]:g} at index {odd[0]} of the observation; allowed: up to {MOST_OBSERVED:g} either way")
         self.mask(info)
         self.told = set()
         self.step_layout = struct.Struct(f"<HI{len(self.heads)}s")
@@ -552,9 +556,9 @@ class Worker:
                 observation, reward, terminated, truncated, info = told
                 if info.__class__ is not dict and not isinstance(info, Mapping):
                     raise Refused(f"the info of `step` is {shown(info)}, which is no dict")
-                # What most environments return is sent as it is.
+                # What most environments return. A copy: environments may share the array, and go on writing into it.
                 if observation.__class__ is ndarray and observation.dtype is float32 and observation.shape == shape:
-                    row = observation
+                    row = observation.copy()
                 else:
                     row = row_of(observation)
                 if reward.__class__ is not float:
@@ -584,11 +588,7 @@ class Worker:
 
     def answer(self, rows, rewards, ends, masks, rest):
         n = len(rows)
-        try:
-            seen = b"".join(rows)
-        except TypeError:
-            # An environment may show every other number of its own array, which is no row of bytes.
-            seen = b"".join(row.tobytes() for row in rows)
+        seen = b"".join(rows)
         if self.observe.watches:
             self.observe.look(self.np.frombuffer(seen, self.np.float32).reshape(n, -1))
         try:

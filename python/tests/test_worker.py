@@ -457,6 +457,27 @@ def test_an_observation_may_be_a_part_of_a_larger_array():
     assert np.array_equal(row, first) and rest[:2].tolist() == [first[0], 2] and not failures, (row, rest, failures)
 
 
+def test_environments_that_share_an_array_show_what_each_of_them_has_seen():
+    shared = np.zeros(2, np.float32)
+
+    class Sharing(Toy):
+        def look(self):
+            shared[:] = self.first, self.n
+            return shared
+
+    pair = Pair(lambda index: Sharing())
+    firsts = [pair.begin(slot, seed)[0][0][0] for slot, seed in ((0, 1), (1, 2))]
+    frame = struct.pack("<H", 2) + b"".join(struct.pack("<HI", slot, 8) + bytes([0]) for slot in (0, 1))
+    body, failures = pair.ask(worker.STEP, frame)
+    rows = np.frombuffer(body, "<f4", 4, 2).reshape(2, 2)
+    assert rows.tolist() == [[firsts[0], 1], [firsts[1], 1]] and not failures, (rows, failures)
+
+
+def test_a_first_observation_that_no_rollout_may_hold_is_refused():
+    told = refused(lambda index: Toy(fault="nan"))
+    assert told == "`reset` returns nan at index 1 of the observation; allowed: up to 1e+09 either way", told
+
+
 def test_what_is_float64_or_leaves_its_box_is_told_once():
     class Wide(Toy):
         def look(self):

@@ -133,7 +133,7 @@ fn run_identities_stay() {
         ("lander_hard", 150_016_040),
         ("paper_highway", 741_220_534),
         ("paper_lander", 2_311_859_075),
-        ("paper_lander_hard", 2_833_320_608),
+        ("paper_lander_hard", 3_622_931_962),
         ("pilot", 3_946_323_515),
         ("steakhouse", 1_151_090_681),
         ("steakhouse_timing", 3_042_336_859_u32),

@@ -25,7 +25,7 @@ use crate::directory_error::RunDirError;
 use crate::evaluation::n_threads;
 use crate::held_out::{HeldOutUse, comparable, episodes, held_out_seed};
 use crate::layout::{is_begun, is_finished, read_config};
-use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, Tasks, policy_file, regular};
+use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_file, regular};
 
 /// A racer whose success at a quarter is further behind the leader's than this is hopeless.
 pub const MARGIN: f64 = 0.1;
@@ -213,7 +213,7 @@ impl Race {
     ///
     /// # Errors
     ///
-    /// [`RunDirError`] if one of them has another, with the difference, or if it or its record cannot be read.
+    /// [`RunDirError`] if one of them has another, with the difference, or is a fork, or if it or its record cannot be read.
     pub fn check(&self) -> Result<(), RunDirError> {
         for Racer { config, directory, .. } in &self.racers {
             if !is_begun(directory)? {
@@ -225,6 +225,12 @@ impl Race {
                     "{} is damaged ({error}); delete it, and the racer is compared again",
                     file.display()
                 )));
+            }
+            if let Some(detour) =
+                RunRecord::read(directory).ok().and_then(|record| record.detour(directory))
+            {
+                let run = directory.display();
+                return Err(RunDirError::Refused(format!("{run} {detour}; take another --name")));
             }
             let mut changes = identity::difference(&read_config(directory)?, &config.table);
             changes.retain(|change| identity::decides_weights(&change.key, &config.table));

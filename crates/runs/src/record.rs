@@ -226,6 +226,18 @@ impl RunRecord {
         self.origin.is_some() || directory.join(INITIAL_POLICY).exists()
     }
 
+    /// Says what the run in this directory was trained with that its configuration does not show: `is a fork of a`, `went on with
+    /// other settings (learner.clip: 0.2 -> 0.1 after update 9)`; `None` if nothing.
+    pub fn detour(&self, directory: &Path) -> Option<String> {
+        if let Some(origin) = &self.origin {
+            return Some(format!("is a fork of {}", origin.run));
+        }
+        if self.is_fork(directory) {
+            return Some("is a fork".to_owned());
+        }
+        self.changes.first().map(|change| format!("went on with other settings ({change})"))
+    }
+
     /// Reads the record of a run directory.
     ///
     /// # Errors

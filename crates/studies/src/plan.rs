@@ -9,7 +9,7 @@ use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
 use leadtime_runs::layout::{is_finished, read_config};
-use leadtime_runs::{BEST_POLICY, LAST_POLICY, Tasks, journal};
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, RunRecord, Tasks, journal};
 use toml::{Table, Value};
 
 use crate::catalog::NamedStudy;
@@ -474,7 +474,7 @@ impl WantedRun<'_> {
         let is_wanted = |name: &String| {
             let run = runs.join(name);
             name.ends_with(suffix)
-                && run.join("run.json").exists()
+                && RunRecord::read(&run).is_ok_and(|record| record.detour(&run).is_none())
                 && read_config(&run).is_ok_and(|config| self.is(&config))
         };
         names.filter(is_wanted).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
@@ -484,6 +484,11 @@ impl WantedRun<'_> {
     fn check_free(&self, run: &Path, config: &Table) -> Result<(), Error> {
         let shown = run.display();
         let helps = "move it away, or take other --runs";
+        if let Some(detour) = RunRecord::read(run).ok().and_then(|record| record.detour(run)) {
+            return Err(Error::Refused(format!(
+                "{shown} {detour}, which its name does not say; {helps}"
+            )));
+        }
         let found = match read_config(run) {
             Ok(found) => found,
             // It counts as done, and nobody knows what it was trained with.

@@ -1,3 +1,5 @@
+use leadtime_runs::{ForkOrigin, SettingChange};
+
 use super::*;
 use crate::test_support::{CART, STUDY, plan, record, request, sentence, study};
 use crate::{catalog, profile};
@@ -139,6 +141,41 @@ fn a_run_that_went_on_with_other_settings_is_not_what_its_name_says() {
     std::fs::remove_file(&file).unwrap();
     let text = sentence(plan(STUDY, &request));
     assert!(text.contains("no config.toml any more") && text.contains("other --runs"), "{text}");
+}
+
+#[test]
+fn a_fork_and_a_run_whose_changes_cancel_are_not_what_their_names_say() {
+    let runs = tempfile::tempdir().unwrap();
+    let request = StudyRequest { seeds: Some(7..8), ..request(runs.path()) };
+    let training = plan(STUDY, &request).unwrap().trainings()[0].clone();
+    let change = |before: &str, after: &str| SettingChange {
+        after_update: 3,
+        key: "learner.clip".to_owned(),
+        before: before.to_owned(),
+        after: after.to_owned(),
+        identity: String::new(),
+    };
+    let origin = ForkOrigin { run: "older".to_owned(), weights_sha256: "0".to_owned() };
+    let there_and_back = vec![change("0.2", "0.9"), change("0.9", "0.2")];
+    let elsewhere = runs.path().join(format!("elsewhere-{}-s7", training.hash));
+    for (origin, changes, told) in [
+        (Some(origin), vec![], "is a fork of older"),
+        (None, there_and_back, "went on with other settings (learner.clip: 0.2 -> 0.9"),
+    ] {
+        let keep = |directory: &Path| {
+            record(directory, &training.config, true);
+            let mut record = RunRecord::read(directory).unwrap();
+            (record.origin, record.changes) = (origin.clone(), changes.clone());
+            record.write(directory).unwrap();
+        };
+        keep(&elsewhere);
+        let again = plan(STUDY, &request).unwrap();
+        assert_eq!(again.trainings()[0].name, training.name, "it is not taken");
+        keep(&training.directory());
+        let text = sentence(plan(STUDY, &request));
+        assert!(text.contains(told) && text.contains("move it away"), "{text}");
+        std::fs::remove_dir_all(training.directory()).unwrap();
+    }
 }
 
 #[test]

@@ -155,7 +155,7 @@ impl WorkerLink {
         }
         let slot = &mut self.slots[place];
         std::mem::swap(&mut slot.row, &mut self.rows[0]);
-        (slot.progress, slot.is_ahead) = (StepProgress::Idle, false);
+        slot.put_back();
         if slot.row.has_failed {
             slot.fail(failed);
         }

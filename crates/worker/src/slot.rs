@@ -98,29 +98,54 @@ impl WorkerSlot {
         self.progress = StepProgress::Shown;
     }
 
+    /// Takes note of what an episode begins with, or goes on with where it is put back: the row that came without a step.
+    pub(crate) fn put_back(&mut self) {
+        (self.progress, self.is_ahead) = (StepProgress::Idle, false);
+        if let Some(what) = named("observation", &self.row.observation) {
+            self.fail(|slot| {
+                let EpisodeSeed { env_id, episode, .. } = slot.seed;
+                let n_steps = slot.n_steps();
+                let place = if n_steps == 0 {
+                    format!("at the reset of episode {episode}")
+                } else {
+                    format!("where episode {episode} goes on after {n_steps} steps")
+                };
+                format!("environment {env_id}: {what} {place}")
+            });
+        }
+    }
+
     /// Names the first number that cannot be, if there is one.
     fn implausible(&self) -> Option<String> {
-        let possible = -MAX_MAGNITUDE..=MAX_MAGNITUDE;
-        let odd = |x: &f32| !possible.contains(&f64::from(*x));
         let row = &self.row;
-        let named = |name: &str, values: &[f32]| {
-            let i = values.iter().position(odd)?;
-            Some(format!("{name}[{i}] is {}", shown(values[i])))
-        };
+        let Self { seed: EpisodeSeed { env_id, episode, .. }, action, .. } = self;
         let in_end = || {
             row.end?;
             named("the last observation", &row.last_observation)
                 .or_else(|| named("metric", &row.metrics))
         };
-        let what = named("observation", &row.observation)
-            .or_else(|| odd(&row.reward).then(|| format!("the reward is {}", shown(row.reward))))
-            .or_else(in_end)?;
-        let Self { seed: EpisodeSeed { env_id, episode, .. }, action, .. } = self;
-        let step = self.n_steps() + 1;
-        Some(format!(
-            "environment {env_id}: {what} after action {action:?} in episode {episode}, step {step}"
-        ))
+        let reward = || is_odd(row.reward).then(|| format!("the reward is {}", shown(row.reward)));
+        let observed = named("observation", &row.observation);
+        let (seen, begun) = if row.end.is_some() { (None, observed) } else { (observed, None) };
+        if let Some(what) = seen.or_else(reward).or_else(in_end) {
+            let step = self.n_steps() + 1;
+            return Some(format!(
+                "environment {env_id}: {what} after action {action:?} in episode {episode}, step {step}"
+            ));
+        }
+        let next = self.next_seed().episode;
+        begun.map(|what| format!("environment {env_id}: {what} at the reset of episode {next}"))
     }
+}
+
+fn is_odd(x: f32) -> bool {
+    !(-MAX_MAGNITUDE..=MAX_MAGNITUDE).contains(&f64::from(x))
+}
+
+/// Names the first of some numbers that cannot be.
+fn named(name: &str, values: &[f32]) -> Option<String> {
+    let i = values.iter().position(|x| is_odd(*x))?;
+    Some(format!("{name}[{i}] is {}", shown(values[i])))
 }
 
 /// Writes a number that cannot be as Python does.
@@ -159,6 +184,23 @@ mod tests {
         let mut row = StepRow { reward: -2e9, ..StepRow::default() };
         slot.stepped(&mut row, true);
         assert!(slot.failure.unwrap().contains("the reward is -2e9 after"));
+    }
+
+    #[test]
+    fn a_number_that_cannot_be_at_a_reset_is_named_with_its_episode() {
+        let odd = || StepRow { observation: vec![0.0, f32::NAN], ..StepRow::default() };
+        let mut slot = slot();
+        slot.row = odd();
+        slot.put_back();
+        let expected = "environment 17: observation[1] is nan at the reset of episode 12";
+        assert_eq!(slot.failure.take().as_deref(), Some(expected));
+        slot.n_before = 3;
+        slot.put_back();
+        assert!(slot.failure.take().unwrap().ends_with("where episode 12 goes on after 3 steps"));
+        slot.stepped(&mut StepRow { end: Some(End::Terminated), ..odd() }, true);
+        assert!(
+            slot.failure.unwrap().ends_with("observation[1] is nan at the reset of episode 13")
+        );
     }
 
     #[test]
