@@ -14,6 +14,7 @@ The messages and what happens when something is late, lost or broken: docs/live.
 """
 import json
 import queue
+import re
 import secrets
 import time
 
@@ -23,6 +24,8 @@ import zenoh
 MAX_EVENTS = 1024
 # Seconds for which a notifier is looked for.
 PATIENCE = 10.0
+# What a service or a client may be called.
+NAME = re.compile(r"[a-z0-9-]{1,48}")
 
 
 class Refused(RuntimeError):
@@ -42,10 +45,14 @@ class Notifier:
 
     def __init__(self, endpoint, client, domain, *, service="notifier", clock="observation", seconds_per_step=0.3, seed=0,
                  patience=PATIENCE, config=None):
+        for what, name in (("service", service), ("client", client)):
+            if not (isinstance(name, str) and NAME.fullmatch(name)):
+                raise ValueError(f"{what} {name!r}: a name has 1 to 48 of a-z, 0-9 and `-`")
         self._key = f"leadtime/live/1/{service}/{client}"
-        # The notifiers that are there, by their tokens; None before the first was seen. One that is started again may show its new
-        # token before the old one goes.
-        self._said, self._status, self._here = queue.Queue(MAX_EVENTS), {}, None
+        self._said, self._status, self._n_statuses = queue.Queue(MAX_EVENTS), {}, 0
+        # The notifiers that are there, by their tokens; None before the first was seen. Among them are those of which one has opened
+        # the session: one that is started again has another token, and may show it before the old one goes.
+        self._here, self._openers, self._is_open = None, frozenset(), False
         self._patience, self._began = patience, time.monotonic()
         settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
         try:
@@ -57,7 +64,7 @@ class Notifier:
         except BaseException:
             self._session.close()
             raise
-        self._seq, self._clock = self.answer["last_seq"], clock
+        self._seq, self._clock, self._is_open = self.answer["last_seq"], clock, True
         self._sights = self._session.declare_publisher(
             f"{self._key}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)
 
@@ -86,7 +93,12 @@ class Notifier:
     def _on_presence(self, sample):
         here = self._here or frozenset()
         token = {str(sample.key_expr)}
-        self._here = here | token if sample.kind == zenoh.SampleKind.PUT else here - token
+        if sample.kind != zenoh.SampleKind.PUT:
+            self._here = here - token
+            return
+        if not self._is_open or not self._openers:
+            self._openers |= token
+        self._here = here | token
 
     def _on_say(self, sample):
         event = json.loads(sample.payload.to_string())
@@ -101,28 +113,46 @@ class Notifier:
 
     def _on_status(self, sample):
         self._status = json.loads(sample.payload.to_string())
+        self._n_statuses += 1
+
+    def _why_lost(self):
+        """Says why nothing is to be expected of this session at present; None if something is."""
+        if self._here is not None and not self.is_here:
+            return "the notifier was started again: open a new session" if self._here else "the notifier is gone"
+        if self._status.get("state") == "closed":
+            return self._status.get("why") or "the session is closed: open a new one"
+        return None
 
     @property
     def status(self):
-        """The notifier's last status: its state, and why nothing is said. Empty before the first."""
-        return self._status
+        """The notifier's last status: its state, and why nothing is said. Empty before the first, and where it is not there."""
+        return self._status if self._here is None or self.is_here else {}
 
     @property
     def is_here(self):
-        """Whether the notifier is there."""
-        return bool(self._here)
+        """Whether the notifier is there that opened the session; one that was started again is another one."""
+        return bool(self._here and self._here & self._openers)
 
     def observe(self, observation, *, facts=None, episode=0, end=False):
         """Sends an observation, and returns its number.
 
-        ``facts`` names what holds now, for sentences that presuppose something; ``None`` says nothing about it.
+        ``facts`` names what holds now, for sentences that presuppose something; ``None`` says nothing about it. Raises :class:`Lost`
+        if the session is closed, or its notifier was started again: open a new one.
         """
+        if isinstance(facts, str):
+            raise ValueError(f"facts are a list of names, not {facts!r}")
+        # One that is gone may only be out of reach, and come back.
+        if (self._here is None or self._here) and (why := self._why_lost()):
+            raise Lost(why)
         self._seq += 1
         message = {"seq": self._seq, "t": time.monotonic() - self._began, "obs": [float(x) for x in observation],
                    "episode": int(episode), "end": bool(end)}
         if facts is not None:
             message["facts"] = list(facts)
-        self._sights.put(json.dumps(message))
+        try:
+            self._sights.put(json.dumps(message))
+        except zenoh.ZError as error:
+            raise Lost(f"nothing can be sent: {error}") from None
         return self._seq
 
     def said(self, timeout=0.0):
@@ -141,7 +171,7 @@ class Notifier:
         """
         if self._clock != "observation":
             raise ValueError(f"clock {self._clock!r}: send with observe(), and read said()")
-        n_refused = self._status.get("refused", 0)
+        n_refused, n_statuses = self._status.get("refused", 0), self._n_statuses
         seq, events, deadline = self.observe(observation, facts=facts, episode=episode, end=end), [], time.monotonic() + timeout
         while not (events and events[-1]["last"]):
             left = deadline - time.monotonic()
@@ -150,11 +180,13 @@ class Notifier:
             except queue.Empty:
                 if self._status.get("refused", 0) > n_refused and self._status.get("told"):
                     raise Refused(self._status["told"]) from None
-                if self._here is not None and not self._here:
-                    raise Lost("the notifier is gone") from None
+                if why := self._why_lost():
+                    raise Lost(why) from None
                 if left > 0:
                     continue
-                why = self._status.get("told") or self._status.get("why") or "it is not there"
+                # What was said before this observation is not about it.
+                is_new = self._n_statuses > n_statuses
+                why = is_new and (self._status.get("told") or self._status.get("why")) or "nothing is known of it"
                 raise Lost(f"no answer to observation {seq} within {timeout:g} s: {why}") from None
             if event["seq"] == seq:
                 events.append(event)

@@ -153,11 +153,52 @@ class Live(unittest.TestCase):
             return SimpleNamespace(kind=kind, key_expr=f"leadtime/live/1/notifier/alive/{start}")
 
         with Notifier(self.endpoint, "i", "lander") as notifier:
-            notifier._here = None
+            notifier._here, notifier._openers, notifier._is_open = None, frozenset(), False
             for kind, start, is_here in [(zenoh.SampleKind.PUT, "a", True), (zenoh.SampleKind.PUT, "b", True),
                                          (zenoh.SampleKind.DELETE, "a", True), (zenoh.SampleKind.DELETE, "b", False)]:
                 notifier._on_presence(token(kind, start))
                 self.assertEqual(notifier.is_here, is_here)
+
+    def test_a_session_whose_notifier_was_started_again_says_so(self):
+        def token(kind, start):
+            return SimpleNamespace(kind=kind, key_expr=f"leadtime/live/1/notifier/alive/{start}")
+
+        with Notifier(self.endpoint, "j", "lander") as notifier:
+            notifier.step(FALLING[0])
+            own = min(notifier._openers).rsplit("/", 1)[1]
+            notifier._on_presence(token(zenoh.SampleKind.DELETE, own))
+            self.assertEqual((notifier.is_here, notifier.status), (False, {}))
+            notifier._on_presence(token(zenoh.SampleKind.PUT, "another"))
+            self.assertEqual((notifier.is_here, notifier.status), (False, {}))
+            for send in (notifier.observe, notifier.step):
+                with self.assertRaisesRegex(Lost, "was started again: open a new session"):
+                    send(FALLING[1])
+            # Only the way to it was gone.
+            notifier._on_presence(token(zenoh.SampleKind.PUT, own))
+            self.assertTrue(notifier.is_here)
+
+    def test_a_closed_session_says_why_and_not_what_was_wrong_before(self):
+        with Notifier(self.endpoint, "l", "lander") as notifier:
+            with self.assertRaisesRegex(Lost, "open a new session"):
+                while True:
+                    try:
+                        notifier.step([0.0])
+                    except Refused:
+                        pass
+            for send in (notifier.observe, notifier.step):
+                with self.assertRaisesRegex(Lost, "open a new session"):
+                    send(FALLING[0])
+        with self.assertRaises(Lost):
+            notifier.observe(FALLING[0])
+
+    def test_names_and_facts_are_checked(self):
+        for odd in ("lab/robot", "a*", "robot#1", "", "Robot", "a" * 49, 3):
+            with self.assertRaisesRegex(ValueError, "a name has 1 to 48 of a-z, 0-9 and `-`"):
+                Notifier(self.endpoint, odd, "lander")
+            with self.assertRaisesRegex(ValueError, "service"):
+                Notifier(self.endpoint, "m", "lander", service=odd)
+        with Notifier(self.endpoint, "m", "lander") as notifier, self.assertRaisesRegex(ValueError, "a list of names"):
+            notifier.step(FALLING[0], facts="zone_below")
 
     def test_where_nobody_is_nobody_is_found(self):
         with self.assertRaises(Lost):

@@ -12,7 +12,7 @@ use crate::directory_error::with_causes;
 use crate::layout::is_left;
 use crate::race::RacerRecord;
 use crate::record::RecordError;
-use crate::{ForkOrigin, RunRecord, held_out, journal, name_in_place, regular};
+use crate::{ForkOrigin, RunRecord, RunResult, held_out, journal, name_in_place, regular};
 
 /// The columns of the list, and the main ones, which a terminal has room for.
 const HEAD: &str =
@@ -114,8 +114,13 @@ impl ListedRun {
     /// Describes a run by its record and its journal.
     pub fn new(path: &Path, record: RunRecord) -> Self {
         let last = journal::last_line(path).unwrap_or_default();
-        let number = |key: &str| last.get(key).and_then(Value::as_f64);
         let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
+        let made = |result: &RunResult| (result.updates, result.steps);
+        let (updates, steps) =
+            record.result.as_ref().map_or((whole("update"), whole("steps")), made);
+        // The journal of a disk that was full ends before the run does, and its last line is of another policy.
+        let is_whole = whole("update") == updates;
+        let number = |key: &str| last.get(key).filter(|_| is_whole).and_then(Value::as_f64);
         let reproducible = record.is_reproducible(path);
         let best = held_out::of_best(path).unwrap_or_default();
         let is_stopped = || {
@@ -135,8 +140,8 @@ impl ListedRun {
             reproducible,
             origin: record.origin,
             weights_sha256: record.result.map(|result| result.weights_sha256),
-            updates: whole("update"),
-            steps: whole("steps"),
+            updates,
+            steps,
             success: number("episodes/success"),
             episode_return: number("episodes/return"),
             held_out: held_out("held_out/success").or_else(|| held_out("held_out/return")),
@@ -183,6 +188,20 @@ mod tests {
         let record = RunRecord::begin("r", "cartpole", 1, &ProgramBuild::default());
         let listed = ListedRun::new(run.path(), record);
         assert_eq!((listed.updates, listed.steps, listed.episode_return), (7, 448, Some(2.5)));
+    }
+
+    #[test]
+    fn a_finished_run_is_listed_as_its_record_says_where_its_journal_ends_before() {
+        let run = tempfile::tempdir().unwrap();
+        let line = "{\"update\": 97, \"steps\": 49664, \"episodes/success\": 0.03}\n";
+        fs::write(run.path().join("metrics.jsonl"), line).unwrap();
+        let mut record = RunRecord::begin("r", "cartpole", 1, &ProgramBuild::default());
+        let result = |updates, steps| RunResult { updates, steps, ..RunResult::default() };
+        record.result = Some(result(585, 299_520));
+        let listed = ListedRun::new(run.path(), record.clone());
+        assert_eq!((listed.updates, listed.steps, listed.success), (585, 299_520, None));
+        record.result = Some(result(97, 49_664));
+        assert_eq!(ListedRun::new(run.path(), record).success, Some(0.03));
     }
 
     #[test]

@@ -46,7 +46,7 @@ pub enum StaysBecause {
     InUse,
     /// It is the best of its configuration.
     Best,
-    /// Its files cannot be read, so it may be the best of its configuration.
+    /// Its files cannot be read, or end before the run did, so it may be the best of its configuration.
     Unreadable,
     /// It was to be removed, and could not be.
     CannotRemove,
@@ -163,9 +163,8 @@ fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
     let mut stays = BTreeMap::new();
     let mut best: BTreeMap<[u8; 32], (f64, String)> = BTreeMap::new();
     for (name, path) in runs.iter().filter(|(name, _)| !is_left(name)) {
-        let is_journal_read = journal::last(path, "update").is_ok();
-        let (Ok(config), Ok(record), true) =
-            (read_config(path), RunRecord::read(path), is_journal_read)
+        let (Ok(config), Ok(record), Ok(told)) =
+            (read_config(path), RunRecord::read(path), journal::last(path, "update"))
         else {
             stays.insert(name.clone(), StaysBecause::Unreadable);
             continue;
@@ -176,8 +175,9 @@ fn best_of_each(runs: &[(String, PathBuf)]) -> BTreeMap<String, StaysBecause> {
         if !has_weights {
             continue;
         }
-        if listed.held_out.is_none() && !held_out::read(path).is_empty() {
-            // Its best policy is gone or damaged, and its checkpoints may hold it.
+        // Its best policy is gone or damaged, and its checkpoints may hold it; or a full disk let its files end before the run did.
+        let is_known = listed.held_out.is_some() || held_out::read(path).is_empty();
+        if !is_known || (listed.held_out.is_none() && told < listed.updates) {
             stays.insert(name.clone(), StaysBecause::Unreadable);
             continue;
         }
@@ -213,6 +213,7 @@ mod tests {
     use std::os::unix::fs::symlink;
 
     use super::*;
+    use crate::RunResult;
 
     const ALL: PruneRule = PruneRule { older: Duration::ZERO, keep_best: false };
 
@@ -320,6 +321,14 @@ mod tests {
         fs::write(runs.path().join("a/checkpoints/000000000007.checkpoint"), "state").unwrap();
         let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
         assert_eq!(found[0].1, Some(StaysBecause::Unreadable));
+        // A full disk let its journal end before the run did.
+        let late = runs.path().join("d");
+        let mut record = RunRecord::read(&late).unwrap();
+        record.result = Some(RunResult { updates: 9, ..RunResult::default() });
+        record.write(&late).unwrap();
+        fs::write(late.join("policy.safetensors"), "weights").unwrap();
+        let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
+        assert_eq!(found[3].1, Some(StaysBecause::Unreadable));
         // What cannot be compared may be the best.
         fs::write(runs.path().join("a/config.toml"), "").unwrap();
         fs::write(runs.path().join("b").join(RECORD), "").unwrap();
@@ -327,7 +336,7 @@ mod tests {
         fs::create_dir(runs.path().join("c/metrics.jsonl")).unwrap();
         let found = names(runs.path(), PruneRule { keep_best: true, ..ALL });
         let unknown = Some(StaysBecause::Unreadable);
-        let expected = [("a", unknown), ("b", unknown), ("c", unknown), ("d", None)];
+        let expected = [("a", unknown), ("b", unknown), ("c", unknown), ("d", unknown)];
         assert_eq!(found, expected.map(|(name, stays)| (name.to_owned(), stays)));
     }
 }
