@@ -105,6 +105,9 @@ test('a run at work: complete at once, on one screen, light and dark, wide and n
   await t.test('curves are there as text', async () => {
     await page.locator('button[data-text=curves]').click();
     assert.ok((await page.locator('#curves-text tr').count()) > 5);
+    const unnamed = page.locator('[tabindex="0"]:not([aria-label]):not([aria-labelledby])');
+    assert.equal(await unnamed.count(), 0, 'everything that can be reached has a name');
+    assert.equal(await page.locator('#curves-text th:not([scope])').count(), 0);
     await page.locator('button[data-text=curves]').click();
   });
 

@@ -192,12 +192,17 @@ function shownX(value) {
 /** @param {any} chart @param {number[]} xs */
 function dataOf(chart, xs) {
   /** @type {(number|null)[][]} */
-  const data = [xs];
-  for (const [name] of chart.lines) {
+  const lines = chart.lines.flatMap((/** @type {string[]} */ [name]) => {
     const { min, max } = series.scalars[name] ?? { min: [], max: [] };
-    data.push(max.map((high, i) => (high === null || min[i] === null ? null : (high + min[i]) / 2)), max, min);
-  }
-  return data;
+    return [max.map((_, i) => middle(name, i)), max, min];
+  });
+  return [xs, ...lines];
+}
+
+/** The value that is shown of a group of updates. @param {string} name @param {number} i */
+function middle(name, i) {
+  const [low, high] = [series.scalars[name]?.min[i], series.scalars[name]?.max[i]];
+  return low == null || high == null ? null : (low + high) / 2;
 }
 
 /** Marks where a learner went on. @param {any} plot */
@@ -312,24 +317,18 @@ function curvesTable(xs) {
   const columns = CHARTS.flatMap((chart) => chart.lines.map(([name]) => name));
   return table(
     [overTime ? 'time' : 'steps', ...columns.map((name) => name.split('/')[1].replaceAll('_', ' '))],
-    rows.map((i) => [overTime ? duration(xs[i]) : grouped(xs[i]), ...columns.map((name) => written(series.scalars[name]?.max[i]))]),
+    rows.map((i) => [overTime ? duration(xs[i]) : grouped(xs[i]), ...columns.map((name) => written(middle(name, i)))]),
   );
 }
 
 /** @param {string[]} head @param {string[][]} rows */
 function table(head, rows) {
-  const made = element('table');
-  const headRow = element('tr');
-  headRow.append(...head.map((text) => element('th', text)));
-  const top = element('thead');
-  top.append(headRow);
-  const body = element('tbody');
+  const made = document.createElement('table');
+  made.createTHead().insertRow().append(...head.map((text) => Object.assign(element('th', text), { scope: 'col' })));
+  const body = made.createTBody();
   for (const row of rows) {
-    const line = element('tr');
-    line.append(...row.map((text) => element('td', text)));
-    body.append(line);
+    body.insertRow().append(...row.map((text) => element('td', text)));
   }
-  made.append(top, body);
   return made;
 }
 
