@@ -102,12 +102,29 @@ test('a run at work: complete at once, on one screen, light and dark, wide and n
     assert.equal(await page.locator('#unzoom').isVisible(), false);
   });
 
+  await t.test('what the keyboard stops at has a role and a name', async () => {
+    const nameless = await page.evaluate(() => {
+      const stops = [...document.querySelectorAll('[tabindex="0"]')];
+      const isNamed = (stop) => stop.getAttribute('aria-label') && (stop.getAttribute('role') || stop.tagName === 'OL');
+      return stops.filter((stop) => !isNamed(stop)).map((stop) => stop.outerHTML.slice(0, 80));
+    });
+    assert.deepEqual(nameless, []);
+  });
+
+  await t.test('who has a finger alone is not told to drag', async () => {
+    assert.equal(await page.locator('#curves-hint').isVisible(), true);
+    const tablet = await chrome.open(link, { viewport: { width: 820, height: 1180 }, hasTouch: true, isMobile: true });
+    await complete(tablet.page);
+    assert.equal(await tablet.page.evaluate(() => matchMedia('(pointer: coarse)').matches), true);
+    assert.equal(await tablet.page.locator('#curves-hint').isVisible(), false);
+    await tablet.context.close();
+  });
+
   await t.test('curves are there as text', async () => {
     await page.locator('button[data-text=curves]').click();
     assert.ok((await page.locator('#curves-text tr').count()) > 5);
-    const unnamed = page.locator('[tabindex="0"]:not([aria-label]):not([aria-labelledby])');
-    assert.equal(await unnamed.count(), 0, 'everything that can be reached has a name');
-    assert.equal(await page.locator('#curves-text th:not([scope])').count(), 0);
+    const [heads, columns] = [page.locator('#curves-text th'), page.locator('#curves-text th[scope=col]')];
+    assert.equal(await columns.count(), await heads.count(), 'every head is of its column');
     await page.locator('button[data-text=curves]').click();
   });
 
@@ -273,6 +290,28 @@ test('a gap between the first updates takes no points from the curves', async (t
   await until('the last update', async () => (await newest(page)) === 310);
   await page.locator('button[data-text=curves]').click();
   assert.equal(await page.locator('#curves-text tbody tr').count(), 12);
+});
+
+test('as text a curve has the values of the picture', async (t) => {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(SHORT).ended, 0);
+  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('the run', async () => (await newest(page)) > 0);
+  // Each point stands for two updates.
+  const body = await page.evaluate(async () => {
+    const { history } = await (await fetch('state.json')).json();
+    const scalars = { ...history.scalars, 'episodes/success': { min: [0, 0.2, 0.4], max: [0.8, 0.9, 1] } };
+    return `event: history\ndata: ${JSON.stringify({ ...history, from: 0, to: 6, stride: 2, x: [2, 4, 6], scalars })}\n\n`;
+  });
+  await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body }));
+  await page.reload();
+  const shown = page.locator('.chart h3 b');
+  await until('the middle of the last point', async () => (await shown.first().innerText()) === '0.700');
+  const headings = (await shown.allInnerTexts()).flatMap((values) => values.split(', '));
+  await page.locator('button[data-text=curves]').click();
+  const last = await page.locator('#curves-text tbody tr:last-child td').allInnerTexts();
+  assert.deepEqual(last.slice(1), headings);
 });
 
 test('where the schedule is asynchronous, the clipped share stands by the staleness', async (t) => {

@@ -189,20 +189,18 @@ function shownX(value) {
   return value >= 1e6 ? `${+(value / 1e6).toPrecision(3)}M` : value >= 1e3 ? `${+(value / 1e3).toPrecision(3)}k` : `${value}`;
 }
 
+/** What is shown of each point, as line, as number and in the table: the middle of its band. @param {Extremes} extremes */
+const middles = ({ min, max }) => max.map((high, i) => (high === null || min[i] === null ? null : (high + min[i]) / 2));
+
 /** @param {any} chart @param {number[]} xs */
 function dataOf(chart, xs) {
   /** @type {(number|null)[][]} */
-  const lines = chart.lines.flatMap((/** @type {string[]} */ [name]) => {
-    const { min, max } = series.scalars[name] ?? { min: [], max: [] };
-    return [max.map((_, i) => middle(name, i)), max, min];
-  });
-  return [xs, ...lines];
-}
-
-/** The value that is shown of a group of updates. @param {string} name @param {number} i */
-function middle(name, i) {
-  const [low, high] = [series.scalars[name]?.min[i], series.scalars[name]?.max[i]];
-  return low == null || high == null ? null : (low + high) / 2;
+  const data = [xs];
+  for (const [name] of chart.lines) {
+    const extremes = series.scalars[name] ?? { min: [], max: [] };
+    data.push(middles(extremes), extremes.max, extremes.min);
+  }
+  return data;
 }
 
 /** Marks where a learner went on. @param {any} plot */
@@ -315,21 +313,25 @@ function curvesTable(xs) {
   const every = Math.max(1, Math.ceil(xs.length / TABLE_ROWS));
   const rows = xs.map((_, i) => i).filter((i) => i === xs.length - 1 || i % every === 0);
   const columns = CHARTS.flatMap((chart) => chart.lines.map(([name]) => name));
+  const shown = columns.map((name) => middles(series.scalars[name] ?? { min: [], max: [] }));
   return table(
     [overTime ? 'time' : 'steps', ...columns.map((name) => name.split('/')[1].replaceAll('_', ' '))],
-    rows.map((i) => [overTime ? duration(xs[i]) : grouped(xs[i]), ...columns.map((name) => written(middle(name, i)))]),
+    rows.map((i) => [overTime ? duration(xs[i]) : grouped(xs[i]), ...shown.map((values) => written(values[i]))]),
   );
+}
+
+/** @param {string} tag @param {HTMLElement[]} inside */
+function filled(tag, inside) {
+  const made = element(tag);
+  made.append(...inside);
+  return made;
 }
 
 /** @param {string[]} head @param {string[][]} rows */
 function table(head, rows) {
-  const made = document.createElement('table');
-  made.createTHead().insertRow().append(...head.map((text) => Object.assign(element('th', text), { scope: 'col' })));
-  const body = made.createTBody();
-  for (const row of rows) {
-    body.insertRow().append(...row.map((text) => element('td', text)));
-  }
-  return made;
+  const top = filled('tr', head.map((text) => Object.assign(element('th', text), { scope: 'col' })));
+  const lines = rows.map((row) => filled('tr', row.map((text) => element('td', text))));
+  return filled('table', [filled('thead', [top]), filled('tbody', lines)]);
 }
 
 let [drawing, drawnAt] = [0, 0];
@@ -528,11 +530,7 @@ function showBooks() {
   if (!books) return ['books-rows', 'balance', 'refusals'].forEach((id) => $(id).replaceChildren());
   const fate = (/** @type {any} */ entry, /** @type {number} */ i) => [FATES[entry[0]] ?? entry[0], entry[1], i ? '+' : '='];
   const rows = [['published', books.published, ''], ...books.entries.map(fate)];
-  $('books-rows').replaceChildren(...rows.map(([label, n, sign]) => {
-    const row = element('tr');
-    row.append(element('td', `${sign} ${label}`.trim()), element('td', grouped(n)));
-    return row;
-  }));
+  $('books-rows').replaceChildren(...rows.map(([label, n, sign]) => filled('tr', [element('td', `${sign} ${label}`.trim()), element('td', grouped(n))])));
   $('balance').textContent = books.balanced ? 'balanced' : 'NOT balanced';
   $('balance').className = books.balanced ? 'good' : 'bad';
   const refusals = Object.entries(update.refusals).map(([cause, n]) => `${cause.replaceAll('_', ' ')} ${n}`);
