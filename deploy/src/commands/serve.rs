@@ -1,6 +1,6 @@
 //! `leadtime serve`: a policy at work, speaking to robots, cars and simulators over the network.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -240,7 +240,13 @@ impl StateDirectory {
     fn open(path: &Path) -> anyhow::Result<Arc<dyn StateStore>> {
         fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
         let unwritten = || format!("cannot write into {}", path.display());
-        let lock = File::create(path.join(".lock")).with_context(unwritten)?;
+        let file = path.join(".lock");
+        // A link would be followed to what is somebody else's, and a pipe waited for.
+        if fs::symlink_metadata(&file).is_ok_and(|found| !found.is_file()) {
+            anyhow::bail!("{} is not a file: remove it", file.display());
+        }
+        let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&file);
+        let lock = lock.with_context(unwritten)?;
         match lock.try_lock() {
             Ok(()) => Ok(Arc::new(Self { path: path.to_owned(), _lock: lock })),
             Err(TryLockError::WouldBlock) => Err(anyhow::anyhow!(
@@ -278,5 +284,27 @@ impl StateStore for StateDirectory {
             Err(error) if error.kind() != ErrorKind::NotFound => Err(error),
             Ok(()) | Err(_) => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lock_that_leads_elsewhere_is_refused_and_what_it_leads_to_is_left_alone() {
+        let place = tempfile::tempdir().unwrap();
+        let (states, other) = (place.path().join("states"), place.path().join("other"));
+        fs::create_dir(&states).unwrap();
+        fs::write(&other, "precious").unwrap();
+        std::os::unix::fs::symlink(&other, states.join(".lock")).unwrap();
+        let error = StateDirectory::open(&states).unwrap_err();
+        assert!(error.to_string().ends_with(".lock is not a file: remove it"), "{error}");
+        assert_eq!(fs::read_to_string(&other).unwrap(), "precious");
+        fs::remove_file(states.join(".lock")).unwrap();
+        let held = StateDirectory::open(&states).unwrap();
+        let error = StateDirectory::open(&states).unwrap_err();
+        assert!(error.to_string().contains("another notifier's that is at work"), "{error}");
+        drop(held);
     }
 }
