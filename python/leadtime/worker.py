@@ -212,8 +212,9 @@ def heads_of(space, spaces):
 def decoder(space, spaces, np):
     """Returns what makes the environment's action of the choices of its heads."""
     if isinstance(space, spaces.Discrete):
-        start = int(space.start)
-        return lambda choices: choices[0] + start
+        # Of the type that `sample` gives: some environments index or shift with it.
+        actions = [space.dtype.type(int(space.start) + i) for i in range(int(space.n))]
+        return lambda choices: actions[choices[0]]
     if isinstance(space, spaces.MultiDiscrete):
         start = np.asarray(getattr(space, "start", np.zeros_like(space.nvec)))
         return lambda choices: (np.frombuffer(choices, np.uint8).reshape(space.nvec.shape) + start).astype(space.dtype)

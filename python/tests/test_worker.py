@@ -149,6 +149,8 @@ def test_an_action_is_a_choice_per_head_in_whatever_space():
         pair.step(choices)
         taken = pair.worker.envs[0].seen[0]
         assert space.contains(taken), taken
+        parts = taken.values() if isinstance(taken, dict) else taken if isinstance(taken, tuple) else [taken]
+        assert all(isinstance(part, (np.int64, np.int8, np.ndarray)) for part in parts), "as `sample` gives them"
         flat = json.loads(json.dumps(taken, default=lambda x: x.tolist()))
         assert flat == json.loads(json.dumps(action)), (flat, action)
 
