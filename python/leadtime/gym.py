@@ -15,6 +15,7 @@ it succeeded.
 
 import json
 import math
+import operator
 
 import numpy as np
 
@@ -75,6 +76,17 @@ def no_episode(action=None):
     raise gymnasium.error.ResetNeeded("there is no episode yet: call reset() first")
 
 
+def whole(value, what, below=math.inf):
+    """Returns a number that names a run or an episode, in whatever type of whole numbers it comes."""
+    try:
+        number = operator.index(value)
+    except TypeError:
+        number = -1
+    if not 0 <= number < below:
+        raise ValueError(f"{what} {value!r}; allowed: a whole number from 0 {'on' if below == math.inf else f'to {below - 1}'}")
+    return number
+
+
 class Episodes:
     """Which episode comes next: the first of the run with a seed, and then its others in order."""
 
@@ -83,11 +95,13 @@ class Episodes:
 
     def begin(self, seed, options, draw):
         """Returns run seed and number of the episode that begins; ``draw`` gives a seed where none was ever named."""
+        seed = None if seed is None else whole(seed, "seed") % SEEDS
+        picked = whole(options["episode"], "options[\"episode\"]", SEEDS) if options and "episode" in options else None
         if seed is not None:
-            self._seed, self._next = seed % SEEDS, 0
+            self._seed, self._next = seed, 0
         elif self._seed is None:
             self._seed = int(draw())
-        episode = int(options.get("episode", self._next)) if options else self._next
+        episode = self._next if picked is None else picked
         self._next = episode + 1
         return self._seed, episode
 
@@ -115,9 +129,10 @@ class LeadtimeEnv(gymnasium.Env):
         self._step = no_episode
 
     def reset(self, *, seed=None, options=None):
-        super().reset(seed=seed)
+        begun = self._episodes.begin(seed, options, lambda: self.np_random.integers(SEEDS))
+        super().reset(seed=None if seed is None else whole(seed, "seed"))
         self._step = self.world.step
-        return self.world.reset(*self._episodes.begin(seed, options, lambda: self.np_random.integers(SEEDS)))
+        return self.world.reset(*begun)
 
     def step(self, action):
         return self._step(action)
@@ -167,6 +182,7 @@ class LeadtimeVectorEnv(gymnasium.vector.VectorEnv):
             raise ValueError("one seed names all environments: give a number")
         if options:
             raise ValueError(f"options {sorted(options)}: a vector takes none; a single environment takes `episode`")
+        seed = None if seed is None else whole(seed, "seed")
         super().reset(seed=seed)
         if seed is None and self._step is no_episode:
             seed = int(self.np_random.integers(SEEDS))

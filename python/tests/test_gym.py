@@ -16,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 
 import leadtime
 import leadtime.gym
-from leadtime.gym import IDS, LeadtimeVectorEnv, toml
+from leadtime.gym import IDS, Episodes, LeadtimeVectorEnv, toml
 from leadtime.notifier import LocalNotifier, tomllib
 from leadtime.policy import load
 
@@ -130,6 +130,24 @@ class Gym(unittest.TestCase):
         again, _ = env.reset(seed=3)
         picked, _ = env.reset(options={"episode": 1})
         self.assertTrue((first == again).all() and (second == picked).all() and (first != second).any())
+
+    def test_a_seed_and_an_episode_are_whole_numbers_of_any_type_and_nothing_else(self):
+        episodes = Episodes()
+        self.assertEqual(episodes.begin(np.int64(3), None, None), (3, 0))
+        for seed, options, told in [(-1, None, "seed -1; allowed: a whole number from 0 on"), (1.0, None, "seed 1.0; "), ("1", None, "seed '1'; "),
+                                    (8, {"episode": 1.7}, r'options\["episode"\] 1.7; '), (8, {"episode": 2**70}, f"allowed: a whole number from 0 to {2**63 - 1}")]:
+            with self.assertRaisesRegex(ValueError, told):
+                episodes.begin(seed, options, None)
+        # What was refused has changed nothing.
+        self.assertEqual(episodes.begin(None, {}, None), (3, 1))
+        self.assertEqual(episodes.begin(None, {"episode": np.int32(7)}, None), (3, 7))
+        env = gymnasium.make("leadtime/Lander-v0")
+        envs = gymnasium.make_vec("leadtime/Lander-v0", num_envs=2, vectorization_mode="vector_entry_point")
+        self.assertTrue((env.reset(seed=3)[0] == env.reset(seed=np.int64(3))[0]).all())
+        self.assertTrue((envs.reset(seed=3)[0] == envs.reset(seed=np.uint32(3))[0]).all())
+        for either in (env, envs):
+            with self.assertRaisesRegex(ValueError, "seed -1; allowed"):
+                either.reset(seed=-1)
 
     def test_a_vector_steps_as_its_environments_do_alone(self):
         for name, n in [("leadtime/CartPole-v0", 3), ("leadtime/Steakhouse-v0", 17)]:
