@@ -139,7 +139,7 @@ class Policy:
     def act(self, observation, mask=None, state=None, rng=None, greedy=False):
         """Chooses an action: a choice per head, and the state after this step.
 
-        ``mask`` has a number per choice, 0 for one that is not offered. Choices are drawn with ``rng`` (a numpy Generator)
+        ``mask`` has a number per choice, 0 for one that is not offered: head after head, or an array for each. Choices are drawn with ``rng`` (a numpy Generator)
         unless ``greedy``.
         """
         if not greedy and rng is None:
@@ -147,8 +147,7 @@ class Policy:
         logits, state = self.logits(observation, state)
         if not np.isfinite(logits).all():
             raise ValueError("the observation, or the state, holds a number that is not finite")
-        if mask is not None and np.shape(mask) != logits.shape:
-            raise ValueError(f"a mask has {logits.size} entries, head after head; this one has shape {np.shape(mask)}")
+        mask = None if mask is None else self._whole(mask)
         action, first = [], 0
         for index, head in enumerate(self.spec["actions"]["heads"]):
             n = head["n_choices"]
@@ -163,6 +162,18 @@ class Policy:
             action.append(int(np.argmax(of_head)) if greedy else int(rng.choice(n, p=softmax(of_head))))
             first += n
         return action, state
+
+    def _whole(self, mask):
+        """Returns a mask as one array, head after head."""
+        sizes = [head["n_choices"] for head in self.spec["actions"]["heads"]]
+        shapes = list(map(np.shape, mask)) if isinstance(mask, (tuple, list)) else []
+        if shapes and shapes == [(n,) for n in sizes]:
+            return np.concatenate(mask)
+        # Parts of several lengths have no shape together.
+        shape = shapes if len(set(shapes)) > 1 else np.shape(mask)
+        if shape != (sum(sizes),):
+            raise ValueError(f"a mask has {sum(sizes)} entries, head after head; this one has shape {shape}")
+        return mask
 
     def _dense(self, layer, x):
         return self.tensors[layer + ".weight"] @ x + self.tensors[layer + ".bias"]

@@ -529,8 +529,14 @@ class Policy(unittest.TestCase):
             loaded(numbers[:-4])
         with self.assertRaisesRegex(ValueError, "not finite"):
             policy.act(np.full(89, np.nan), greedy=True)
-        with self.assertRaisesRegex(ValueError, "a mask has 10 entries"):
-            policy.act(zeros, mask=[1, 1], greedy=True)
+        for mask in ([1, 1], [np.ones(2), np.ones(3)], np.ones((2, 5)), 1):
+            with self.assertRaisesRegex(ValueError, "a mask has 10 entries, head after head; this one has shape "):
+                policy.act(zeros, mask=mask, greedy=True)
+        # Also as leadtime.pettingzoo has it: an array per head.
+        mask = np.array([1, 0] * 5, bool)
+        parts = np.split(mask, np.cumsum([len(choices) for _, choices in policy.heads])[:-1])
+        for form in (tuple(parts), parts, mask.tolist()):
+            self.assertEqual(policy.act(zeros, mask=form, greedy=True), policy.act(zeros, mask=mask, greedy=True))
         # What leaves nothing of a head takes nothing away, as in the program.
         nothing, _ = policy.act(zeros, mask=np.zeros(10, bool), greedy=True)
         self.assertEqual(nothing, policy.act(zeros, greedy=True)[0])
