@@ -206,6 +206,10 @@ def heads_of(space, spaces):
         total += n
         if total > MOST_CHOICES:
             raise Refused(f"`{name}` has {n} choices, which makes {total} in all; at most {MOST_CHOICES} are possible")
+    names = [name for name, _ in heads]
+    for name in names:
+        if names.count(name) > 1:
+            raise Refused(f"two heads of an action are `{name}`: give a part of the action space another key")
     return heads
 
 

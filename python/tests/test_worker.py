@@ -169,6 +169,8 @@ def test_what_cannot_be_is_said_in_a_sentence():
     assert "no continuous actions" in refused(lambda index: Toy(action_space=spaces.Box(0, 1, (2,))))
     assert "`action_1` has 30 choices, which makes 70" in refused(lambda index: Toy(action_space=too_many))
     assert "9 heads" in refused(lambda index: Toy(action_space=spaces.MultiBinary(9)))
+    alike = spaces.Dict(a=spaces.MultiDiscrete([2, 3]), a_0=spaces.Discrete(2))
+    assert "two heads of an action are `action_a_0`" in refused(lambda index: Toy(action_space=alike))
     assert "no gymnasium.Env" in refused(lambda index: "an environment")
     assert "the observation space is" in refused(lambda index: Toy(observation_space=spaces.Sequence(spaces.Discrete(2))))
     assert "shape (3,), not (2,)" in refused(lambda index: Toy(fault="shape"))
