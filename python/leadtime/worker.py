@@ -295,6 +295,12 @@ class Flattener:
         elif isinstance(space, spaces.Box):
             if not self.fits(space, value):
                 raise Refused(f"{what} has shape {np.shape(value)}, not {space.shape}")
+            values = np.asarray(value)
+            if space.dtype.kind in "biu" and values.dtype != space.dtype:
+                with np.errstate(invalid="ignore"):
+                    is_kept = np.array_equal(values.astype(space.dtype), values)
+                if not is_kept:
+                    raise Refused(f"{what} is {shown(value)}, which is not of {space.dtype}, the type of its Box")
         elif isinstance(space, (spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
             if not self.fits(space, value) or not self.is_choice(space, np.asarray(value)):
                 raise Refused(f"{what} is {shown(value)}, which is not in {space}")

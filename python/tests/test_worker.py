@@ -277,6 +277,7 @@ def test_what_a_step_returns_is_taken_for_what_it_is_or_refused_by_name():
     _, failures = step("exit")
     assert re.fullmatch(r"SystemExit: gave up \(test_worker.py:\d+\)", failures[0]), failures
 
+    pixels = spaces.Tuple([spaces.Box(0, 255, (2,), np.uint8)])
     both, in_turn = spaces.Dict(a=box, b=spaces.Discrete(3)), spaces.Tuple([box, pair])
     # Gymnasium would take the second last number for -1, and make more numbers of three than the space has.
     for space, seen, told in [(both, {"a": [0, 0], "b": -1}, "`b` of an observation is -1, which is not in Discrete(3)"),
@@ -286,13 +287,18 @@ def test_what_a_step_returns_is_taken_for_what_it_is_or_refused_by_name():
                               (in_turn, ([0, 0],), "an observation is ([0, 0],), not a tuple of 2"),
                               (in_turn, ([0, 0], np.array([1, 3])), "part 1 of an observation is array([1, 3]), which is not in MultiDiscrete([2 3])"),
                               (in_turn, ([0, 0], [1]), "part 1 of an observation is [1], which is not in MultiDiscrete([2 3])"),
-                              (both, {"a": [0, 0], "b": 1.5}, "`b` of an observation is 1.5, which is not in Discrete(3)")]:
+                              (both, {"a": [0, 0], "b": 1.5}, "`b` of an observation is 1.5, which is not in Discrete(3)"),
+                              # It would make 44 of 300, and 0 of no number.
+                              (pixels, (np.array([0, 300]),), "part 0 of an observation is array([ 0, 300]), which is not of uint8, the type of its Box"),
+                              (pixels, ([0, -1],), "part 0 of an observation is [0, -1], which is not of uint8, the type of its Box"),
+                              (pixels, ([0, float("nan")],), "part 0 of an observation is [0, nan], which is not of uint8, the type of its Box")]:
         _, failures = step({0: seen}, space)
         assert failures == [told], failures
     # What it flattens well is taken, even what it does not count as part of the space.
     wide, one = spaces.Tuple([box, spaces.Box(0, 1, (2,))]), spaces.Dict(a=spaces.Box(0, 1, (1,)), b=spaces.Discrete(2))
     small = spaces.Tuple([spaces.Discrete(3), spaces.MultiDiscrete([2, 3], dtype=np.int8), spaces.MultiBinary(2)])
     for space, seen, expected in [(both, {"a": [0, 0], "b": 1, "further": None}, [0, 0, 0, 1, 0]),
+                                  (pixels, ([0, 255.0],), [0, 255]),
                                   (wide, np.array([[0, 1], [1, 0]]), [0, 1, 1, 0]),
                                   (one, {"a": 0.5, "b": np.bool_(True)}, [0.5, 0, 1]),
                                   (one, {"a": [[0.5]], "b": np.array([1])}, [0.5, 0, 1]),
