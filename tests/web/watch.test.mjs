@@ -125,7 +125,23 @@ test('a run at work: complete at once, on one screen, light and dark, wide and n
     assert.ok((await page.locator('#curves-text tr').count()) > 5);
     const [heads, columns] = [page.locator('#curves-text th'), page.locator('#curves-text th[scope=col]')];
     assert.equal(await columns.count(), await heads.count(), 'every head is of its column');
+    assert.equal(await page.locator('#curves-hint').isVisible(), false, 'a table does not zoom');
     await page.locator('button[data-text=curves]').click();
+  });
+
+  await t.test('staleness as text fits into its panel', async () => {
+    const button = page.locator('button[data-text=staleness]');
+    await button.click();
+    // Where the panel is narrowest its table scrolls.
+    for (const [width, parts] of [[1100, 'button'], [1280, 'button, th']]) {
+      await page.setViewportSize({ width, height: 720 });
+      const cut = await page.locator('#staleness').evaluate((panel, wanted) => {
+        const edge = panel.getBoundingClientRect().right;
+        return [...panel.querySelectorAll(wanted)].filter((part) => part.getBoundingClientRect().right > edge).map((part) => part.textContent);
+      }, parts);
+      assert.deepEqual(cut, [], `${width}`);
+    }
+    await button.click();
   });
 
   await t.test('an update is soon on the page', async () => {
