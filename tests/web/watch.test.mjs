@@ -32,6 +32,16 @@ async function complete(page, patience) {
   }, patience);
 }
 
+/** Trains a short run, and opens its page. */
+async function finished(t, settings = '') {
+  const place = new Place();
+  t.after(() => place.clean());
+  assert.equal(await place.start(`${SHORT} ${settings}`.trim()).ended, 0);
+  const opened = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
+  await until('the run', async () => (await newest(opened.page)) > 0);
+  return { place, ...opened };
+}
+
 test('the vendored library is the one of the registry', () => {
   const digest = (path) => createHash('sha256').update(readFileSync(path)).digest('hex');
   for (const [ours, theirs] of [['uPlot-1.6.32.min.js', 'uPlot.iife.min.js'], ['uPlot.css', 'uPlot.min.css']]) {
@@ -288,11 +298,7 @@ test('a number that is far too large does not stop the page', async (t) => {
 });
 
 test('a gap between the first updates takes no points from the curves', async (t) => {
-  const place = new Place();
-  t.after(() => place.clean());
-  assert.equal(await place.start(SHORT).ended, 0);
-  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
-  await until('the run', async () => (await newest(page)) > 0);
+  const { page } = await finished(t);
   // A watcher that came at the first update, was told none for a while, and then ten.
   const events = await page.evaluate(async () => {
     const { update, history } = await (await fetch('state.json')).json();
@@ -309,11 +315,7 @@ test('a gap between the first updates takes no points from the curves', async (t
 });
 
 test('as text a curve has the values of the picture', async (t) => {
-  const place = new Place();
-  t.after(() => place.clean());
-  assert.equal(await place.start(SHORT).ended, 0);
-  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
-  await until('the run', async () => (await newest(page)) > 0);
+  const { page } = await finished(t);
   // Each point stands for two updates.
   const body = await page.evaluate(async () => {
     const { history } = await (await fetch('state.json')).json();
@@ -331,11 +333,7 @@ test('as text a curve has the values of the picture', async (t) => {
 });
 
 test('where the schedule is asynchronous, the clipped share stands by the staleness', async (t) => {
-  const place = new Place();
-  t.after(() => place.clean());
-  assert.equal(await place.start(`${SHORT} --set learner.mode=async`).ended, 0);
-  const { page, complaints } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
-  await until('the run', async () => (await newest(page)) > 0);
+  const { page, complaints } = await finished(t, '--set learner.mode=async');
   assert.match(await text(page, 'clip-shares'), /^clipped: \d+: \d+\.\d %/);
   await page.locator('button[data-text=staleness]').click();
   assert.match(await text(page, 'staleness-text'), /clipped/);
@@ -394,11 +392,7 @@ test('what another watcher does not know of its run is not shown of the one befo
 });
 
 test('seconds that pass are not read aloud, and the keys of the browser stay its own', async (t) => {
-  const place = new Place();
-  t.after(() => place.clean());
-  assert.equal(await place.start(SHORT).ended, 0);
-  const { page } = await chrome.open(await place.start('watch runs/short --http 127.0.0.1:0').page());
-  await until('the run', async () => (await newest(page)) > 0);
+  const { place, page } = await finished(t);
   const isPrevented = (options) =>
     page.evaluate((given) => {
       const event = new KeyboardEvent('keydown', { bubbles: true, cancelable: true, ...given });
