@@ -257,15 +257,15 @@ async fn connections_that_say_nothing_keep_nobody_out_and_are_given_up() {
     let endpoint: Endpoint = learner.locators()[0].parse().unwrap();
     let address = endpoint.as_str().strip_prefix("tcp/").unwrap();
     let mut silent = Vec::new();
+    let started = Instant::now();
     for _ in 0..N {
         silent.push(TcpStream::connect(address).await.unwrap());
     }
     let connect = ConnectSettings { timeout: SOON, ..ConnectSettings::new(vec![endpoint.clone()]) };
     let (actor, _told) = ActorLink::open(&connect, &actor_id("a"), &start("a")).await.unwrap();
     say_hello(&actor, "a", &events).await;
-    // As the library is set by itself, a hundred of them keep everybody out until they are given up.
-    let last = silent[N - 1].try_read(&mut [0]);
-    assert!(last.is_err_and(|error| error.kind() == std::io::ErrorKind::WouldBlock));
+    // As the library is set by itself, a hundred of them keep everybody out for ten seconds.
+    assert!(started.elapsed() < Duration::from_secs(8), "{:?}", started.elapsed());
     for mut connection in silent {
         let mut byte = [0];
         let read = tokio::time::timeout(SOON, connection.read(&mut byte)).await;
