@@ -1,6 +1,6 @@
 //! A learner's and its actors' decisions, driven together in virtual time through a network that loses, delays,
 //! repeats and reorders messages, while processes die and come back, fall silent, send rollouts that are refused, states that nobody
-//! can restore, or states that lead whoever restores them to what is refused, and while somebody else gives the actors orders.
+//! can restore, or states from which every rollout is refused, and while somebody else gives the actors orders.
 //!
 //! Environments are hash chains, so that a rollout shows everything that went into it: whatever happened on the way,
 //! a deterministic schedule trains on the same numbers as a loop without processes, and no honest actor is cut off for what follows from

@@ -178,7 +178,7 @@ impl RolloutQueue {
         let env = &mut self.envs[rollout.env_id.0 as usize];
         assert_eq!(rollout.iteration, env.expected(), "rollouts are accepted in order");
         let before = env.newest();
-        // An episode depends on nothing that was before it, so whoever begins it is answerable for all of it, until others go on with it.
+        // No episode depends on the one before: the actor that begins one answers for all of it, until another goes on with it.
         let begins = before.snapshot.is_empty() || !rollout.ends.is_empty();
         let begun_by = if begins { Some(author.clone()) } else { before.begun_by.cloned() };
         env.waiting.push_back(Waiting { arrival: self.n_arrived, author, begun_by, rollout });

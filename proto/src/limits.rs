@@ -36,7 +36,7 @@ pub const MAX_LAG: u64 = 64;
 /// The largest magnitude of a number in a rollout: squared and summed over an update it is still finite in `f32`.
 pub const MAX_MAGNITUDE: f64 = 1e9;
 
-/// Returns whether a rollout may hold a number. Who restores a state with others is refused for what follows from them.
+/// Returns whether a rollout may hold a number. An actor that restores a state with larger ones is refused for what follows from them.
 pub fn may_hold(value: impl Into<f64>) -> bool {
     value.into().abs() <= MAX_MAGNITUDE
 }
