@@ -40,7 +40,7 @@ fn main() -> ExitCode {
     Program::new().with_domain(corridor).with_defaults("corridor", SETTINGS).run()
 }
 
-/// What differs from the general defaults of a domain of one's own.
+/// What differs from the defaults of the code and, below them, of every notifier task.
 const SETTINGS: &str = include_str!("corridor.toml");
 
 /// The section `[world]` of a configuration: what this world can be told.

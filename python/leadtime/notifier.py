@@ -28,7 +28,7 @@ except ModuleNotFoundError:  # Python 3.10
 
 # What a policy's configuration leaves out.
 RULES = {"comprehension": "words", "words_from": 1, "occupies": True, "interrupt": "until_comprehended",
-         "blocked_initiation": "ignore_free", "repeat": "restart", "can_stop": False}
+         "blocked_initiation": "mask", "repeat": "restart", "can_stop": False}
 CHOICES = {"notification": "incrementally_actionable", "words": [2, 3, 4, 5], "history": 4, "observe_utterance": True, "k_max": None, "cells": None}
 SILENCE, START, STOP = range(3)
 

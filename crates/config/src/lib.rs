@@ -7,8 +7,9 @@
 //!        = Config: complete, in range, consistent; also as the table that a run writes beside its results
 //! ```
 //!
-//! Defaults live in the built-in TOML files and nowhere else: no typed section has a default. Every file but `general` has a
-//! `base` and writes only what differs, so that a default stands in one place; so may a person's own file.
+//! Defaults live in the built-in TOML files: no typed section that is read has a default. Every file but `general` has a
+//! `base` and writes only what differs, so that a default stands in one place; so may a person's own file. A world of one's
+//! own brings the defaults of its code instead; for what it does not choose itself, a test holds them equal to the files.
 //!
 //! # What it does not know
 //!

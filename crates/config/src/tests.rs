@@ -1,11 +1,13 @@
 use std::path::PathBuf;
 
 use leadtime_highway::task::HighwayWorldSettings;
+use leadtime_lander::task::LanderWorldSettings;
 use leadtime_ppo::{LearnerSettings, Truncation};
 use leadtime_proto::TaskSpec;
 use leadtime_sims::classic::{CartPole, CartPoleSettings};
 use leadtime_sims::env_check::check_environment;
 use leadtime_sims::{DomainEntry, Registry};
+use leadtime_steakhouse::task::SteakhouseWorldSettings;
 use toml::Table;
 
 use super::{Catalog, Config, ConfigError, ConfigSource, Layer, Override, identity, read};
@@ -276,6 +278,27 @@ fn the_learners_own_defaults_are_those_of_cartpole() {
     let config = check("domain = \"cartpole\"").unwrap();
     let own = LearnerSettings { truncation: Truncation::Cleanrl, ..LearnerSettings::default() };
     assert_eq!(config.learner, own);
+}
+
+/// Worlds of one's own, whose code may leave the listener and the notifier as they are, start from the code's defaults; the
+/// built-in ones from the files.
+#[test]
+fn the_defaults_in_the_code_are_those_of_the_files() {
+    let entries = [
+        ("lander", DomainEntry::notifier::<LanderWorldSettings>("lander")),
+        ("highway", DomainEntry::notifier::<HighwayWorldSettings>("highway")),
+        ("steakhouse", DomainEntry::notifier::<SteakhouseWorldSettings>("steakhouse")),
+    ];
+    for (name, entry) in entries {
+        let mut catalog = Catalog::built_in();
+        catalog.add("mine", "domain = \"mine\"");
+        catalog.add_defaults("mine", &entry.defaults().unwrap());
+        let table: Table = catalog.text("mine").unwrap().unwrap().parse().unwrap();
+        let of_file = named(name).table;
+        for section in ["world", "human", "notifier"] {
+            assert_eq!(table[section], of_file[section], "{name}, [{section}]");
+        }
+    }
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Every choice that bends the model of the listener.
 //!
-//! `Default` is what serves real use. With [`FollowThroughEnd::Inclusive`] and [`Interrupt::Replace`] it follows the
+//! `Default` is what serves real use: the values of `configs/notifier.toml`, which is what the built-in worlds start from. With [`FollowThroughEnd::Inclusive`] and [`Interrupt::Replace`] it follows the
 //! letter of the source where that speaks, and its most likely reading where it does not.
 
 use std::fmt;
@@ -203,7 +203,7 @@ pub struct HumanSettings {
     pub reaction_reward: ReactionReward,
     /// What may interrupt an utterance. Default `until_comprehended`.
     pub interrupt: Interrupt,
-    /// What becomes of an initiation that may not start. Default `ignore_free`.
+    /// What becomes of an initiation that may not start. Default `mask`.
     pub blocked_initiation: BlockedInitiation,
     /// What may replace a pending reaction. Default `overwrite_on_comprehension`.
     pub pending: PendingRule,
@@ -266,7 +266,7 @@ impl Default for HumanSettings {
             follow_through_end: FollowThroughEnd::Exclusive,
             reaction_reward: ReactionReward::Off,
             interrupt: Interrupt::UntilComprehended,
-            blocked_initiation: BlockedInitiation::IgnoreFree,
+            blocked_initiation: BlockedInitiation::Mask,
             pending: PendingRule::OverwriteOnComprehension,
             running: RunningRule::UntilNextDue,
             repeat: Repeat::Restart,
