@@ -33,7 +33,7 @@ counter! {
     EnvId(u32)
 }
 counter! {
-    /// Counts optimiser iterations: the policy after `n` updates has version `n`.
+    /// Counts updates: the policy after `n` updates has version `n`.
     PolicyVersion(u64)
 }
 counter! {

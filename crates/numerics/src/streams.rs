@@ -22,7 +22,7 @@ pub enum Purpose {
     Human = 3,
     /// Sampling of the policy's actions (index: rollout of the environment).
     Act = 4,
-    /// Shuffling of minibatches (index: optimiser iteration).
+    /// Shuffling of minibatches (index: update).
     Shuffle = 5,
     /// Resampling in statistics (index: statistic).
     Bootstrap = 6,

@@ -20,12 +20,12 @@ impl Minibatches {
         unit_len: usize,
         n_parts: usize,
         run_seed: u64,
-        iteration: u64,
+        update: u64,
     ) -> Self {
         assert!(n_samples.is_multiple_of(unit_len), "{n_samples} samples in units of {unit_len}");
         let n_units = n_samples / unit_len;
         assert!((1..=n_units).contains(&n_parts), "{n_parts} minibatches of {n_units}");
-        let generator = stream(run_seed, Purpose::Shuffle, 0, iteration);
+        let generator = stream(run_seed, Purpose::Shuffle, 0, update);
         Self { units: (0..n_units).collect(), unit_len, n_parts, generator }
     }
 
@@ -79,8 +79,8 @@ mod tests {
     }
 
     #[test]
-    fn the_order_depends_on_seed_and_iteration_alone() {
-        let order = |seed, iteration| epoch(&mut Minibatches::new(50, 1, 5, seed, iteration));
+    fn the_order_depends_on_seed_and_update_alone() {
+        let order = |seed, update| epoch(&mut Minibatches::new(50, 1, 5, seed, update));
         assert_eq!(order(1, 2), order(1, 2));
         assert_ne!(order(1, 2), order(1, 3));
         assert_ne!(order(1, 2), order(2, 2));

@@ -21,7 +21,7 @@ pub struct EvaluationRecord {
     pub policy: String,
     /// SHA-256 over that file, in hexadecimal.
     pub policy_sha256: String,
-    /// Optimiser iterations that made the policy.
+    /// Updates that made the policy.
     #[serde(default)]
     pub updates: u64,
     /// The task's domain.

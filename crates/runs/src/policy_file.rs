@@ -29,7 +29,7 @@ pub const BEST_POLICY: &str = "best.safetensors";
 const DOMAIN_KEY: &str = "domain";
 /// Metadata key of the configuration, as TOML.
 const CONFIG_KEY: &str = "config";
-/// Metadata key of the optimiser iterations that made the policy.
+/// Metadata key of the updates that made the policy.
 pub(crate) const VERSION: &str = "policy_version";
 
 /// Metadata key of the digest over the weights; files that older builds wrote do not have it.
@@ -80,7 +80,7 @@ pub struct LoadedPolicy {
     pub config: Config,
     /// The weights.
     pub parameters: Parameters,
-    /// Optimiser iterations that made it; 0 where the file does not say so.
+    /// Updates that made it; 0 where the file does not say so.
     pub n_updates: u64,
     /// SHA-256 over the file, in hexadecimal.
     pub sha256: String,
@@ -203,7 +203,7 @@ pub(crate) fn is_in(directory: &Path) -> bool {
     [LAST_POLICY, BEST_POLICY].iter().any(|name| directory.join(name).is_file())
 }
 
-/// Returns how many optimiser iterations made a policy file; 0 if it is not there.
+/// Returns how many updates made a policy file; 0 if it is not there.
 pub(crate) fn n_updates(path: &Path) -> io::Result<u64> {
     let Some(bytes) = regular::if_there(regular::read(path))? else { return Ok(0) };
     let version = read_metadata(&bytes).ok().and_then(|entries| entries.get(VERSION)?.parse().ok());

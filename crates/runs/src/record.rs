@@ -129,7 +129,7 @@ pub struct RunResult {
     /// What ended it; all steps in a record from before there was anything else.
     #[serde(default)]
     pub end: ResultCause,
-    /// Optimiser iterations.
+    /// Updates that made the final policy.
     pub updates: u64,
     /// Steps trained on.
     pub steps: u64,

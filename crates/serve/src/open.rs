@@ -282,7 +282,7 @@ impl From<&Quantity> for ObservationName {
 pub struct PolicyNote {
     /// SHA-256 over its file, in hexadecimal.
     pub sha256: String,
-    /// Optimiser iterations that made it; 0 where its file does not say.
+    /// Updates that made it; 0 where its file does not say.
     pub updates: u64,
 }
 

@@ -71,7 +71,7 @@ pub struct WorkingPolicy {
     pub session: Session,
     /// SHA-256 over its file, in hexadecimal.
     pub sha256: String,
-    /// Optimiser iterations that made it.
+    /// Updates that made it.
     pub n_updates: u64,
     /// How it was put to work.
     pub origin: PolicyOrigin,
@@ -135,7 +135,7 @@ impl WorkingPolicy {
         })
     }
 
-    /// Says which file it is of, and how many optimiser iterations made it.
+    /// Says which file it is of, and how many updates made it.
     pub fn of_file(self, sha256: String, n_updates: u64) -> Self {
         Self { sha256, n_updates, ..self }
     }

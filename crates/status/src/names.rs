@@ -91,10 +91,10 @@ macro_rules! metrics {
 
 metrics! {
     Steps = "steps" Counter MetricLabel::None, Learner, "environment steps trained on since the learner started";
-    Updates = "updates" Counter MetricLabel::None, Learner, "optimiser iterations since the learner started";
+    Updates = "updates" Counter MetricLabel::None, Learner, "updates since the learner started";
     Episodes = "episodes" Counter MetricLabel::None, Learner, "training episodes that ended since the learner started";
     RunSteps = "run_steps" Gauge MetricLabel::None, Learner, "environment steps trained on in the whole run";
-    RunUpdates = "run_updates" Gauge MetricLabel::None, Learner, "optimiser iterations of the whole run";
+    RunUpdates = "run_updates" Gauge MetricLabel::None, Learner, "updates of the whole run";
     RunEpisodes = "run_episodes" Gauge MetricLabel::None, Learner, "training episodes of the whole run that ended";
     Books = "books" Counter ENTRY, Learner, "rollouts since the learner started, by what became of them";
     Refusals = "refusals" Counter MetricLabel::Cause, Learner, "messages refused since the learner started, by cause";
