@@ -1,4 +1,4 @@
-"""A robot that is spoken to: sends what it sees, prints what its person is told, and why nobody speaks.
+"""A robot that is spoken to: sends what it sees, prints what its listener is told, and why nobody speaks.
 
     pip install eclipse-zenoh==1.10.2
     leadtime serve deploy/policies/piloting.safetensors --listen tcp/127.0.0.1:7448

@@ -167,7 +167,7 @@ macro_rules! slug {
 }
 
 slug! {
-    /// Names an actor for as long as its person wants it to be the same actor.
+    /// Names an actor: who starts it again under this name means the same actor.
     ActorId, "actor id", 48, &['-']
 }
 slug! {

@@ -1,4 +1,4 @@
-"""When and what to say to a person who reacts late: Leadtime's worlds and policies in Python.
+"""When and what to say to a listener who reacts late: Leadtime's worlds and policies in Python.
 
 * ``leadtime.gym``: the worlds as Gymnasium environments (needs the package ``gymnasium``)
 * ``leadtime.policy``: policies of Leadtime in numpy

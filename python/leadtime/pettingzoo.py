@@ -1,4 +1,4 @@
-"""The worlds as PettingZoo environments for two who learn: a notifier, and the person who hears it.
+"""The worlds as PettingZoo environments for two who learn: a notifier, and the listener who hears it.
 
     from leadtime.pettingzoo import parallel_env
 
@@ -8,7 +8,7 @@
         actions = {agent: env.action_space(agent).sample(infos[agent].get("action_mask")) for agent in env.agents}
         observations, rewards, terminated, truncated, infos = env.step(actions)
 
-The ``notifier`` has the observation, action, mask, reward and metrics of ``leadtime.gym``. The ``person`` acts instead of the
+The ``notifier`` has the observation, action, mask, reward and metrics of ``leadtime.gym``. The listener, ``person``, acts instead of the
 model of a delayed human: in every step by their own plan (0), or they carry out a topic (1 for the first, 2 for the second, ...).
 They see the world, how much they have heard of the message that runs, the topic that they have understood last, and how long
 ago that was. When they understand a message is the model's; how soon they react and for how long is theirs. Their reward is the

@@ -62,7 +62,7 @@ impl PlayedTask {
     /// `ValueError` if a setting is impossible, or nobody in the task listens.
     pub(crate) fn build_pair(&self) -> PyResult<Box<dyn TwoPlayers>> {
         let nobody = || {
-            let text = format!("`{}` has no person who could be played", self.spec.domain);
+            let text = format!("`{}` has no listener who could be played", self.spec.domain);
             PyValueError::new_err(text)
         };
         self.registry.build_pair(&self.spec).map_err(wrong)?.ok_or_else(nobody)

@@ -1,4 +1,4 @@
-"""A world for two is what PettingZoo asks for, and the person in it counts."""
+"""A world for two is what PettingZoo asks for, and the listener in it counts."""
 
 import unittest
 import warnings
@@ -54,7 +54,7 @@ class PettingZoo(unittest.TestCase):
             env.step({"notifier": np.zeros(4, int), "person": 99})
         with self.assertRaisesRegex(ValueError, "`notifier` has none"):
             env.step({"person": 0})
-        with self.assertRaisesRegex(ValueError, "no person"):
+        with self.assertRaisesRegex(ValueError, "no listener"):
             parallel_env("cartpole")
 
 

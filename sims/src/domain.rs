@@ -6,7 +6,7 @@
 //!
 //! | | lander | highway | steakhouse |
 //! |---|---|---|---|
-//! | unaided person | trained pilot | IDM + MOBIL | tiered cook on beliefs |
+//! | unaided listener | trained pilot | IDM + MOBIL | tiered cook on beliefs |
 //! | reaction acts | every frame | once (lane) or every step (speed) | every step |
 //! | reaction may be refused | leg on the ground, low | impossible lane change | - |
 //! | world ends reaction | - | - | blocked move |

@@ -321,7 +321,7 @@ pub struct SharedOutcome {
 ///
 /// In an [`Environment`] the listener is the model of [`human`](crate::human). Here somebody else decides, step by
 /// step, whether the listener carries out a topic or goes on by their own plan: a second policy, or a program that has
-/// another model of people.
+/// another model of listeners.
 pub trait TwoPlayers: Send {
     /// Returns the notifier's side: shapes, heads, mask, metrics. It is stepped here and nowhere else.
     fn notifier(&self) -> &dyn Environment;

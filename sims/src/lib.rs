@@ -1,4 +1,4 @@
-//! Contracts of worlds and people: environments, domains, the delayed human, and the notifier problem built from them.
+//! Contracts of worlds and listeners: environments, domains, the delayed human, and the notifier problem built from them.
 //!
 //! Everything here is a pure function of (state, action, seed): no clock, no file, no environment variable, no
 //! network, no thread. What this crate does not know: how a policy is trained, where its actions come from, or any

@@ -101,7 +101,7 @@ impl DomainEntry {
         }
     }
 
-    /// Describes a task without people, which has nothing but a world.
+    /// Describes a task without a listener, which has nothing but a world.
     pub fn world_only<W, E>(name: &'static str, make: fn(&W) -> Result<E, SettingError>) -> Self
     where
         W: Default + Serialize + DeserializeOwned + 'static,

@@ -43,7 +43,7 @@ struct NotifierSections<W> {
 /// Takes a task's sections out of a merged configuration.
 pub(crate) fn take<'a>(root: &mut DeTable<'a>) -> DeTable<'a> {
     let entries = SECTIONS.iter().filter_map(|&name| Some((name, root.remove_entry(name)?)));
-    // A domain without people has no such section, and its builder does not want to see one.
+    // A domain without a listener has no such section, and its builder does not want to see one.
     let is_empty = |value: &DeValue<'_>| value.as_table().is_some_and(DeTable::is_empty);
     let kept = entries.filter(|(name, (_, value))| *name == "world" || !is_empty(value.get_ref()));
     kept.map(|(_, entry)| entry).collect()

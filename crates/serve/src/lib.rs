@@ -7,7 +7,7 @@
 //! robot  --its own key, or a topic of ROS 2-->  robot::RobotReader  -->  the same
 //! ```
 //!
-//! A live notifier advises a person. It never commands a machine: no key carries actions.
+//! A live notifier advises a listener. It never commands a machine: no key carries actions.
 //!
 //! What this crate does not know: files, the command line, zenoh (that is `link::live`), how a policy learned.
 //!

@@ -1,6 +1,6 @@
 //! Words: which sentence says a topic so that it is understood after k words and over after l.
 //!
-//! A notifier chooses (c, k, l): a topic, a comprehension time and a conveyance time. A person hears words. This
+//! A notifier chooses (c, k, l): a topic, a comprehension time and a conveyance time. A listener hears words. This
 //! crate holds the database between the two, and how it is made.
 //!
 //! ```text
@@ -10,7 +10,7 @@
 //! ```
 //!
 //! At run time it reads text that is given to it and nothing else: no file, no clock, no network, no language
-//! model. What it does not know: worlds, people's delays, policies; a topic is a name and a number here.
+//! model. What it does not know: worlds, delays of listeners, policies; a topic is a name and a number here.
 //!
 //! # Where to start
 //!

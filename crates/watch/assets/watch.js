@@ -623,7 +623,7 @@ function takeLog(lines) {
 
 /** The last one is the newest episode that began while the picture was paused. @type {any[]} */
 let [flight, frame, waiting] = [null, null, null];
-/** Where the person has been, with what they did on the way. @type {{at: number[], colour: string}[]} */
+/** Where the listener has been, with what they did on the way. @type {{at: number[], colour: string}[]} */
 let trail = [];
 let paused = false;
 let zones = true;
@@ -692,7 +692,7 @@ function drawStage() {
   context.fillRect(left, top, wide, tall);
   for (const shape of [...flight.still, ...frame.shapes]) drawShape(context, shape, at);
   drawTrail(context, at);
-  // The person is never hidden by the path.
+  // The listener is never hidden by the path.
   for (const shape of frame.shapes) if (shape[1] === 'own') drawShape(context, shape, at);
   context.restore();
 }

@@ -1,4 +1,4 @@
-//! A person who is played: what the model of the listener would have done has the same effects, and the person may do otherwise.
+//! A listener who is played: what the model of the listener would have done has the same effects, and they may do otherwise.
 
 use leadtime_numerics::{Purpose, stream};
 use leadtime_proto::{EnvId, TaskSpec};
@@ -16,7 +16,7 @@ fn task(domain: &str, settings: &str) -> Box<dyn Environment> {
 
 fn two_players(domain: &str, settings: &str) -> Box<dyn TwoPlayers> {
     let built = leadtime_worlds::builtin().build_pair(&spec(domain, settings));
-    built.expect("the task can be built").expect("there is a person in it")
+    built.expect("the task can be built").expect("there is a listener in it")
 }
 
 fn bits(row: &[f32]) -> Vec<u32> {
@@ -71,9 +71,9 @@ impl Played {
 }
 
 #[test]
-fn a_person_who_does_what_the_model_does_has_the_same_episode() {
+fn a_listener_who_does_what_the_model_does_has_the_same_episode() {
     for domain in ["lander", "highway", "steakhouse"] {
-        // Reactions of a step do not follow each other on the same topic, which the model would begin anew and a person who
+        // Reactions of a step do not follow each other on the same topic, which the model would begin anew and a listener who
         // keeps to a topic would not.
         let settings =
             r#"{"human": {"repeat": "restart", "reaction_reward": "off", "follow_through": 1}}"#;

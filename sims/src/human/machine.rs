@@ -158,7 +158,7 @@ impl HumanState {
     }
 }
 
-/// A person who listens and reacts.
+/// A listener who reacts late.
 #[derive(Clone, Debug)]
 pub struct Human {
     settings: HumanSettings,

@@ -42,7 +42,7 @@ pub trait NotifierWorld: Default + Serialize + DeserializeOwned + 'static {
 pub struct TaskSettings<W> {
     /// `[world]`: where the task takes place, and what is paid.
     pub world: W,
-    /// The person in it as a listener.
+    /// The listener in it.
     #[serde(deserialize_with = "over_human::<_, W>")]
     pub human: HumanSettings,
     /// What the notifier may say and what it sees.

@@ -20,7 +20,7 @@
 //!   episodes than features.
 //! * **The penalty** is chosen from a fixed list by cross-validation over episodes of the first half, because the
 //!   input can be several times as wide as the features.
-//! * **Two constants.** One is the median over everything; the other sees the stage. People who react late are
+//! * **Two constants.** One is the median over everything; the other sees the stage. Listeners who react late are
 //!   rarer in late stages, so the second is the harder one to beat.
 
 mod readers;

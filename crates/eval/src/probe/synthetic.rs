@@ -22,7 +22,7 @@ const N_NOISE: usize = 7;
 /// Steps from one reaction to the next.
 const STEPS_PER_STAGE: u32 = 4;
 
-/// A person with a delay of 0 to 5 steps, who reacts every four steps whatever the message; up to eight times.
+/// A listener with a delay of 0 to 5 steps, who reacts every four steps whatever the message; up to eight times.
 #[derive(Debug)]
 pub(super) struct Synthetic {
     spec: EnvSpec,
@@ -61,9 +61,9 @@ impl Environment for Synthetic {
     }
 
     fn reset(&mut self, seed: EpisodeSeed, observation: &mut [f32]) {
-        let mut person = seed.stream(Purpose::Human);
-        self.delay = person.integers(0, i64::from(self.most) + 1) as u32;
-        self.end = STEPS_PER_STAGE * (1 + person.integers(0, 9) as u32);
+        let mut listener = seed.stream(Purpose::Human);
+        self.delay = listener.integers(0, i64::from(self.most) + 1) as u32;
+        self.end = STEPS_PER_STAGE * (1 + listener.integers(0, 9) as u32);
         (self.noise, self.n_steps) = (seed.stream(Purpose::World), 0);
         self.observe(observation);
     }
