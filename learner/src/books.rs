@@ -146,6 +146,26 @@ impl Books {
         self.refusals.contains_key(&RefusalCause::FreshEpisode)
     }
 
+    /// Returns the counts by name, under which records, journals and pages have them. Of `refusals` see there.
+    pub fn entries(&self) -> [(&'static str, u64); 9] {
+        [
+            ("published", self.published),
+            ("trained", self.trained),
+            ("dropped_stale", self.dropped_stale),
+            ("refused", self.refused),
+            ("superseded", self.superseded),
+            ("unused_at_end", self.unused_at_end),
+            ("rolled_back", self.rolled_back),
+            ("duplicates", self.duplicates),
+            ("steps_redone", self.steps_redone),
+        ]
+    }
+
+    /// Returns how many rollouts have met their fate, those rolled back left out.
+    pub fn accounted(&self) -> u64 {
+        self.trained + self.dropped_stale + self.refused + self.superseded + self.unused_at_end
+    }
+
     /// Checks the identity.
     ///
     /// # Errors
@@ -154,8 +174,7 @@ impl Books {
     /// sequences.
     pub fn check(&self) -> Result<(), Imbalance> {
         let sent = self.sequences.values().fold(0, |n: u64, sequence| n.saturating_add(sequence.0));
-        let accounted =
-            self.trained + self.dropped_stale + self.refused + self.superseded + self.unused_at_end;
+        let accounted = self.accounted();
         let balanced = sent == self.published && sent == accounted.saturating_add(self.rolled_back);
         let error = Imbalance { published: sent, rolled_back: self.rolled_back, accounted };
         if balanced { Ok(()) } else { Err(error) }

@@ -29,16 +29,11 @@ pub(crate) fn scalars(progress: &UpdateProgress) -> Vec<(String, f64)> {
         ("system/weights_seconds", Some(phases.weights.as_secs_f64())),
         ("system/actors", Some(progress.n_actors as f64)),
         ("system/queued", Some(progress.n_queued as f64)),
-        ("books/published", Some(books.published as f64)),
-        ("books/trained", Some(books.trained as f64)),
-        ("books/dropped_stale", Some(books.dropped_stale as f64)),
-        ("books/refused", Some(books.refused as f64)),
-        ("books/superseded", Some(books.superseded as f64)),
-        ("books/rolled_back", Some(books.rolled_back as f64)),
-        ("books/duplicates", Some(books.duplicates as f64)),
-        ("books/steps_redone", Some(books.steps_redone as f64)),
     ];
-    all.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
+    let all = all.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?)));
+    // What is unused at the end is not known before.
+    let books = books.entries().into_iter().filter(|(name, _)| *name != "unused_at_end");
+    all.chain(books.map(|(name, n)| (format!("books/{name}"), n as f64))).collect()
 }
 
 fn mean_staleness(progress: &UpdateProgress) -> f64 {

@@ -123,3 +123,11 @@ fn several_runs_share_their_figure_and_show_their_settings_side_by_side() {
     assert_eq!(words("learner.clip"), ["learner.clip", "0.1", "as", "built", "in"]);
     assert_eq!(words("learner.gamma"), ["learner.gamma", "as", "built", "in", "0.9"]);
 }
+
+#[test]
+fn every_rollout_in_the_books_is_in_a_report() {
+    let entries = leadtime_learner::Books::default().entries();
+    let rollouts = entries.iter().map(|(name, _)| *name).filter(|name| *name != "steps_redone");
+    let shown: Vec<String> = account(&Value::Null).into_iter().map(|book| book.name).collect();
+    assert_eq!(shown, rollouts.collect::<Vec<_>>());
+}

@@ -1,6 +1,6 @@
 //! A learner's status: fed by what its run reports, read on request.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,7 +12,7 @@ use tokio_util::sync::DropGuard;
 
 use crate::health::{Liveness, Occasion};
 use crate::machine;
-use crate::names::{Metric, MetricPage};
+use crate::names::{BOOK_ENTRIES, Metric, MetricPage};
 use crate::numbers::PageNumbers;
 use crate::server::{StatusServer, StatusSource};
 
@@ -120,9 +120,8 @@ impl LearnerStatus {
         for (index, spent) in spent.into_iter().enumerate() {
             numbers.add(Metric::PhaseSeconds, index, spent.as_secs_f64());
         }
-        let accounted = books.trained + books.dropped_stale + books.refused + books.superseded;
         let owed = books.published as f64 - books.rolled_back as f64;
-        numbers.set(Metric::BooksImbalance, owed - accounted as f64 - *n_queued as f64);
+        numbers.set(Metric::BooksImbalance, owed - books.accounted() as f64 - *n_queued as f64);
         self.window.add(Instant::now(), phases.wait);
         let millis = |duration: Duration| duration.as_millis() as u64;
         shared.waited.store(millis(self.window.waited()), Ordering::Relaxed);
@@ -138,7 +137,7 @@ impl LearnerStatus {
         numbers.set(Metric::Steps, since(n_steps, before.n_steps));
         numbers.set(Metric::Updates, since(n_updates, before.n_updates));
         numbers.set(Metric::Episodes, since(n_episodes, before.n_episodes));
-        let entries = entries_of(books).into_iter().zip(entries_of(&before.books));
+        let entries = entries_of(books).zip(entries_of(&before.books));
         numbers.set_all(Metric::Books, entries.map(|(now, then)| since(now, then)));
     }
 
@@ -199,16 +198,9 @@ fn since(now: u64, then: u64) -> f64 {
 }
 
 /// Returns the entries of the books, in the order of their label's values.
-fn entries_of(books: &Books) -> [u64; 7] {
-    [
-        books.published,
-        books.trained,
-        books.dropped_stale,
-        books.refused,
-        books.superseded,
-        books.rolled_back,
-        books.duplicates,
-    ]
+fn entries_of(books: &Books) -> impl Iterator<Item = u64> {
+    let entries = BTreeMap::from(books.entries());
+    BOOK_ENTRIES.iter().map(move |name| entries[name])
 }
 
 impl Drop for LearnerStatus {
@@ -319,7 +311,6 @@ impl WaitWindow {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
 
     use leadtime_certs::{Authority, Role};
 
@@ -403,6 +394,10 @@ mod tests {
         ] {
             assert_eq!(told(&status, metric), value, "{metric:?}");
         }
+        books.duplicates += 2;
+        status.count(9_910, 991, 101, &books);
+        let duplicates = BOOK_ENTRIES.iter().position(|name| *name == "duplicates").unwrap();
+        assert_eq!(status.shared.numbers.get(Metric::Books, duplicates), 2.0);
     }
 
     #[tokio::test]

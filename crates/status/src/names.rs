@@ -54,18 +54,17 @@ pub(crate) struct MetricRow {
 pub(crate) const PREFIX: &str = "leadtime";
 /// Upper bounds of the buckets of a staleness; one without a bound follows.
 pub(crate) const STALENESS_BUCKETS: [u64; 6] = [0, 1, 2, 4, 8, 16];
-const ENTRY: MetricLabel = MetricLabel::Of(
-    "entry",
-    &[
-        "published",
-        "trained",
-        "dropped_stale",
-        "refused",
-        "superseded",
-        "rolled_back",
-        "duplicates",
-    ],
-);
+/// The entries of the books that a page shows: of rollouts, and not those of the end.
+pub(crate) const BOOK_ENTRIES: &[&str] = &[
+    "published",
+    "trained",
+    "dropped_stale",
+    "refused",
+    "superseded",
+    "rolled_back",
+    "duplicates",
+];
+const ENTRY: MetricLabel = MetricLabel::Of("entry", BOOK_ENTRIES);
 const PHASE: MetricLabel = MetricLabel::Of("phase", &["wait", "train", "checkpoint", "weights"]);
 
 macro_rules! metrics {

@@ -1,5 +1,6 @@
 //! `leadtime learner`: one run, from its directory to its result.
 
+use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::path::Path;
 use std::sync::atomic::Ordering;
@@ -262,21 +263,10 @@ fn conclude(
     is_asked: bool,
     args: &LearnerArgs,
 ) -> Result<(), Failure> {
-    let books = &report.books;
     // As the record keeps them.
-    let books = json!({
-        "published": books.published,
-        "trained": books.trained,
-        "dropped_stale": books.dropped_stale,
-        "refused": books.refused,
-        "refusals": books.refusals,
-        "superseded": books.superseded,
-        "unused_at_end": books.unused_at_end,
-        "rolled_back": books.rolled_back,
-        "duplicates": books.duplicates,
-        "steps_redone": books.steps_redone,
-        "balanced": report.balance.is_ok(),
-    });
+    let mut books = json!(BTreeMap::from(report.books.entries()));
+    books["refusals"] = json!(report.books.refusals);
+    books["balanced"] = json!(report.balance.is_ok());
     let is_early = report.n_updates < config.learner.n_updates();
     let cause = if is_early { ResultCause::StopAt } else { ResultCause::TotalSteps };
     let end = (report.end != RunEnd::Stopped).then_some(cause);
