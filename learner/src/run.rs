@@ -25,6 +25,7 @@ use leadtime_link::{LearnerEvent, LearnerLink};
 use leadtime_ppo::TrainerState;
 use leadtime_proto::PolicyVersion;
 use leadtime_proto::message::{HelloReply, Welcome};
+use leadtime_proto::phrase::with_causes;
 use leadtime_trace::{Timed, TraceArrow};
 use serde_json::json;
 use tokio::time::{Interval, MissedTickBehavior, interval};
@@ -586,7 +587,7 @@ impl RunLoop {
         match self.checkpoint() {
             Err(Error::Checkpoint(error @ CheckpointError::Write { .. })) => {
                 if self.saving.failed(Instant::now()) {
-                    let (reason, retry) = (with_cause(&error), self.saving.retry());
+                    let (reason, retry) = (with_causes(&error), self.saving.retry());
                     self.sink.on_event(&RunEvent::CheckpointFailed { reason, retry });
                 }
                 Ok(())
@@ -628,7 +629,7 @@ impl RunLoop {
             };
             self.saving.failed(Instant::now());
             if !std::mem::replace(&mut is_told, true) {
-                let reason = with_cause(error);
+                let reason = with_causes(error);
                 self.sink.on_event(&RunEvent::Unsaved { reason, kept });
             }
             let is_given_up = stop.insist.is_cancelled() && !had_insisted;
@@ -713,12 +714,6 @@ impl RunLoop {
         }
         result
     }
-}
-
-/// Writes an error and what the system says of it as one sentence.
-fn with_cause(error: &CheckpointError) -> String {
-    std::error::Error::source(error)
-        .map_or_else(|| error.to_string(), |cause| format!("{error}: {cause}"))
 }
 
 /// Waits for the evaluation under way; `None` if there is none.

@@ -1,5 +1,6 @@
 //! How messages count, name times, and guess what was meant.
 
+use std::error::Error;
 use std::fmt::Display;
 use std::time::Duration;
 
@@ -36,6 +37,12 @@ pub fn duration(time: Duration) -> String {
 pub fn time_left(spent: Duration, n_done: u64, n_left: u64) -> Option<Duration> {
     let seconds = spent.as_secs_f64() * n_left as f64 / n_done as f64;
     if n_done == 0 { None } else { Duration::try_from_secs_f64(seconds.round()).ok() }
+}
+
+/// Writes an error and its causes as one sentence.
+pub fn with_causes(error: &dyn Error) -> String {
+    let causes = std::iter::successors(Some(error), |&error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }
 
 /// Finds the known name that is most similar to a misspelt one; `None` if none is similar.

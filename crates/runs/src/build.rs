@@ -6,6 +6,7 @@
 use std::fs::File;
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
+use std::thread::available_parallelism;
 
 use leadtime_proto::hex;
 use serde::{Deserialize, Serialize};
@@ -53,6 +54,11 @@ impl ProgramBuild {
     pub fn computes_like(&self, other: &Self) -> bool {
         (&self.program, &self.cpu) == (&other.program, &other.cpu)
     }
+}
+
+/// Returns how many cores this process may use, at least one. As many threads play episodes, for the results do not depend on it.
+pub fn n_cores() -> usize {
+    available_parallelism().map_or(1, usize::from)
 }
 
 /// Returns the class of this machine's CPU, such as `x86_64+avx+avx2+fma`: equal classes give equal bits.

@@ -1,6 +1,5 @@
 //! Why a run directory cannot be used.
 
-use std::error::Error;
 use std::io;
 use std::path::PathBuf;
 
@@ -31,9 +30,4 @@ pub enum RunDirError {
     /// The name cannot be a key and a path.
     #[error(transparent)]
     Name(#[from] InvalidId),
-}
-
-pub(crate) fn with_causes(error: &dyn Error) -> String {
-    let causes = std::iter::successors(Some(error), |&error| error.source());
-    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }

@@ -1,5 +1,6 @@
+use leadtime_proto::phrase::with_causes;
+
 use super::*;
-use crate::directory_error::with_causes;
 use crate::journal::Journal;
 use crate::layout::is_finished;
 use crate::naming::{Naming, Reservation, check_place};

@@ -1,7 +1,5 @@
 //! Evaluating policies of runs: who plays, on which episodes, and which episode shows what training did.
 
-use std::thread::available_parallelism;
-
 use leadtime_config::Config;
 use leadtime_eval::Error;
 use leadtime_eval::measure::{
@@ -11,6 +9,7 @@ use leadtime_eval::playthrough::{Playthrough, Spoken, Voice};
 use leadtime_numerics::stats::Bootstrap;
 
 use crate::Tasks;
+use crate::build::n_cores;
 
 /// Default seed of evaluations, which no run trains with by default: nothing is evaluated on its training episodes.
 pub const EVAL_SEED: u64 = 1_000_000;
@@ -37,11 +36,6 @@ pub fn players(
     let scripts = environment.baselines().iter().map(|script| Player::baseline(script));
     let untrained = Player::untrained(&config.policy, config.seed, action)?;
     Ok([trained].into_iter().chain(scripts).chain([untrained]).collect())
-}
-
-/// Returns how many threads play episodes: as many as there are cores, for the results do not depend on it.
-pub fn n_threads() -> usize {
-    available_parallelism().map_or(1, usize::from)
 }
 
 /// Plays the same episodes with every player, and splits success by what the unaided listener does in them, who plays
@@ -83,7 +77,7 @@ pub(crate) fn play_all(
     seed: u64,
 ) -> Result<Vec<Evaluation>, Error> {
     let make = || tasks.registry.build(&config.evaluation.task);
-    let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_threads());
+    let settings = PlaySettings::new(u64::from(n_episodes), seed).threads(n_cores());
     players.iter().map(|player| evaluate(&make, player, &settings)).collect()
 }
 

@@ -8,10 +8,11 @@ use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, STOP_AT, TOTAL_STEPS, difference};
 use leadtime_learner::{replaced_name, write_atomically};
 use leadtime_proto::RunName;
+use leadtime_proto::phrase::with_causes;
 use toml::Table;
 
 use crate::contents::{CHECKPOINTS, CONFIG, checkpoints, is_run};
-use crate::directory_error::{RunDirError, with_causes};
+use crate::directory_error::RunDirError;
 use crate::journal::{JOURNAL, Journal};
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY};
 use crate::record::{INITIAL_POLICY, RECORD, RecordError};

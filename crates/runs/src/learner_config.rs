@@ -1,7 +1,5 @@
 //! Makes a learner's configuration from a checked configuration and a run directory.
 
-use std::thread::available_parallelism;
-
 use leadtime_config::{Config, identity};
 use leadtime_learner::{Build, LearnerConfig};
 use leadtime_link::{ListenSettings, StartKey};
@@ -10,6 +8,7 @@ use leadtime_ppo::settings::MAX_THREADS;
 use leadtime_proto::limits::MAX_WINDOW;
 use leadtime_proto::{RunSpec, Schedule, hex};
 
+use crate::build::n_cores;
 use crate::{ProgramBuild, RunDir, RunDirError};
 
 /// Tells a learner what to train, where to listen and what to go on from. If the configuration leaves its threads open, it
@@ -74,8 +73,7 @@ pub(crate) fn learner_threads(config: &Config, n_local_actors: usize) -> usize {
 
 /// Returns how many cores actors leave to their learner, at least one.
 fn free_cores(n_local_actors: usize) -> usize {
-    let n_cores = available_parallelism().map_or(1, usize::from);
-    n_cores.saturating_sub(n_local_actors).clamp(1, MAX_THREADS)
+    n_cores().saturating_sub(n_local_actors).clamp(1, MAX_THREADS)
 }
 
 #[cfg(test)]

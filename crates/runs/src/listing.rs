@@ -7,8 +7,9 @@ use leadtime_table::Table;
 use serde::Serialize;
 use serde_json::Value;
 
+use leadtime_proto::phrase::with_causes;
+
 use crate::contents::is_run;
-use crate::directory_error::with_causes;
 use crate::layout::is_left;
 use crate::race::RacerRecord;
 use crate::record::RecordError;

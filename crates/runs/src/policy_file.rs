@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use leadtime_config::{Config, ConfigError, Override};
 use leadtime_eval::measure::{Choice, Player};
 use leadtime_policy::{Parameters, read_metadata};
+use leadtime_proto::phrase::with_causes;
 use leadtime_proto::{PolicySpec, hex};
 use leadtime_sims::registry::Registry;
 use serde_json::json;
@@ -17,7 +18,6 @@ use crate::ForkOrigin;
 use crate::command_line::shell_argument;
 use crate::contents::{CONFIG, checkpoints, is_run};
 use crate::digest::sha256;
-use crate::directory_error::with_causes;
 use crate::find::did_you_mean_run;
 use crate::regular;
 

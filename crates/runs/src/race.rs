@@ -20,9 +20,9 @@ use leadtime_learner::write_atomically;
 use leadtime_proto::hex;
 use serde::{Deserialize, Serialize};
 
+use crate::build::n_cores;
 use crate::digest::sha256;
 use crate::directory_error::RunDirError;
-use crate::evaluation::n_threads;
 use crate::held_out::{HeldOutUse, comparable, episodes, held_out_seed};
 use crate::layout::{is_begun, is_finished, read_config};
 use crate::{BEST_POLICY, LAST_POLICY, LoadedPolicy, RunRecord, Tasks, policy_file, regular};
@@ -376,7 +376,7 @@ impl Race {
         let make = || tasks.registry.build(task);
         let settings = PlaySettings::new(u64::from(self.n_episodes(stage)), eval_seed);
         let player = policy.player("racer", Some(action))?;
-        let evaluation = evaluate(&make, &player, &settings.threads(n_threads()))?;
+        let evaluation = evaluate(&make, &player, &settings.threads(n_cores()))?;
         let played = episodes(&evaluation);
         Ok(RaceScore {
             updates: policy.n_updates,

@@ -1,7 +1,6 @@
 //! Evaluates every row of a part under every condition, sampled and greedy, and sums it up.
 
 use std::collections::BTreeMap;
-use std::thread::available_parallelism;
 
 use leadtime_config::Config;
 use leadtime_episodes::Error as PlayError;
@@ -12,6 +11,7 @@ use leadtime_eval::measure::{
 use leadtime_numerics::stats::mean;
 use leadtime_proto::TaskSpec;
 use leadtime_runs::Tasks;
+use leadtime_runs::build::n_cores;
 use serde::Serialize;
 use tokio_util::sync::CancellationToken;
 
@@ -186,10 +186,9 @@ impl<'a> Evaluator<'a> {
             return Ok(Evaluation { player: candidate.player.name().to_owned(), ..evaluation });
         }
         let make = || self.tasks.registry.build(task);
-        let n_threads = available_parallelism().map_or(1, usize::from);
         let (shutdown, settings) = (self.shutdown, PlaySettings::new(u64::from(n_episodes), seed));
         let stop = || shutdown.is_cancelled();
-        let settings = settings.threads(n_threads).stopped_by(&stop);
+        let settings = settings.threads(n_cores()).stopped_by(&stop);
         let log = |_| SpeechLog::default();
         let (mut evaluation, said) = match evaluate_with(&make, &candidate.player, &settings, log) {
             Err(leadtime_eval::Error::Play(PlayError::Interrupted)) => {

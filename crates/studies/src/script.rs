@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_eval::measure::Player;
-use leadtime_runs::evaluation::n_threads;
+use leadtime_runs::build::n_cores;
 use leadtime_runs::{Tasks, write_atomically};
 use leadtime_scripts::{
     Error as ScriptError, Oracle, OracleBase, Script, ScriptPlayer, SearchSettings, search,
@@ -87,7 +87,7 @@ impl PlannedSearch {
         let (task, n_steps, seed) = (&self.config.task, self.config.learner.total_steps, self.seed);
         let make = || tasks.registry.build(task);
         let stop = || shutdown.is_cancelled();
-        let settings = SearchSettings { n_steps, seed, n_threads: n_threads(), stop: &stop };
+        let settings = SearchSettings { n_steps, seed, n_threads: n_cores(), stop: &stop };
         tracing::info!(domain = %self.config.domain, n_steps, seed, "searching a script");
         let found = match search(&make, &settings, &mut |_| {}) {
             Err(ScriptError::Interrupted) => return Err(Error::Interrupted),

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use leadtime_runs::Naming;
-use leadtime_runs::evaluation::n_threads;
+use leadtime_runs::build::n_cores;
 use leadtime_runs::launch::{Launch, launch};
 use leadtime_runs::supervise::Ended;
 use tokio::task::JoinSet;
@@ -30,7 +30,7 @@ pub struct Crew {
 impl Crew {
     /// Returns how many trainings run at a time.
     pub(crate) fn n_jobs(self) -> usize {
-        self.jobs.map_or_else(n_threads, |jobs| jobs as usize)
+        self.jobs.map_or_else(n_cores, |jobs| jobs as usize)
     }
 }
 

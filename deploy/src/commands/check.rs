@@ -1,7 +1,6 @@
 //! `leadtime check`: would it work here?
 
 use std::path::Path;
-use std::thread::available_parallelism;
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -48,9 +47,8 @@ pub(super) async fn run(tasks: &Tasks, args: &CheckArgs) -> Result<(), Failure> 
         report("evaluation", "its task differs from that of training");
         n_defects += play(tasks, &config.evaluation.task).blame(ExitCode::WrongInput)?;
     }
-    let cores = available_parallelism().map_or(1, usize::from);
     let (cpu, n_threads) = (build::cpu_class(), threads::configured());
-    let cores = counted(cores, "core");
+    let cores = counted(build::n_cores(), "core");
     report("machine", &format!("{cores}, {cpu}, numeric threads: {n_threads}"));
     writable(&config).blame(ExitCode::WrongInput)?;
     report("runs", &format!("{} can be written", config.run.directory.display()));

@@ -13,7 +13,8 @@ use leadtime_link::live::LiveClientLink;
 use leadtime_link::{ConnectSettings, Error as LinkError};
 use leadtime_proto::ClientName;
 use leadtime_proto::text::quoted;
-use leadtime_runs::evaluation::{UNAIDED, compare, n_threads};
+use leadtime_runs::build::n_cores;
+use leadtime_runs::evaluation::{UNAIDED, compare};
 use leadtime_runs::{Tasks, clock};
 use leadtime_serve::{BusPlayer, ClientError, ClientSettings, LiveClient, SaidMessage};
 use serde_json::{Value, json};
@@ -178,7 +179,7 @@ impl Drive {
         if !environment.baselines().contains(&UNAIDED) {
             return Ok(evaluation);
         }
-        let settings = PlaySettings::new(n_episodes, self.seed).threads(n_threads());
+        let settings = PlaySettings::new(n_episodes, self.seed).threads(n_cores());
         let alone = evaluate(&make, &unaided, &settings)?;
         Ok(with_outcomes(evaluation, &alone))
     }

@@ -7,7 +7,8 @@ use std::path::Path;
 use leadtime_config::Override;
 use leadtime_eval::measure::{Choice, PlaySettings, Player};
 use leadtime_eval::record_steps;
-use leadtime_runs::evaluation::{compare, evaluate_all, n_threads, record};
+use leadtime_runs::build::n_cores;
+use leadtime_runs::evaluation::{compare, evaluate_all, record};
 use leadtime_runs::{EvaluationRecord, LoadedPolicy, RunRecord, Tasks};
 use serde_json::json;
 
@@ -109,7 +110,7 @@ impl EvalTask {
         let make = || tasks.registry.build(&self.policy.config.evaluation.task);
         let n_episodes = u64::from(self.n_episodes(args));
         let settings = PlaySettings::new(n_episodes, args.acting.choosing.eval_seed);
-        let settings = settings.threads(n_threads());
+        let settings = settings.threads(n_cores());
         let add = |lines: &str| steps.add(lines.as_bytes()).blame(ExitCode::WrongInput);
         record_steps(&make, &self.players[0], &settings, add)?;
         steps.end().blame(ExitCode::WrongInput)

@@ -56,7 +56,7 @@ fn measure(
     let player = loaded.player("policy", Some(action))?;
     let make = || tasks.registry.build(&config.evaluation.task);
     let settings = PlaySettings::new(u64::from(n_episodes), args.acting.choosing.eval_seed);
-    let settings = settings.threads(leadtime_runs::evaluation::n_threads());
+    let settings = settings.threads(leadtime_runs::build::n_cores());
     check_probe(&make, &player, &settings)?;
     evaluation::warn_of_own_episodes(loaded, settings.seed);
     tracing::info!(policy = %loaded.path.display(), n_episodes, "probing");

@@ -6,7 +6,8 @@ use leadtime_config::Config;
 use leadtime_eval::measure::{Comparison, Player};
 use leadtime_proto::phrase::counted;
 use leadtime_runs::Tasks;
-use leadtime_runs::evaluation::{compare, evaluate_all, main_measure, n_threads};
+use leadtime_runs::build::n_cores;
+use leadtime_runs::evaluation::{compare, evaluate_all, main_measure};
 use leadtime_scripts::{
     Error, FoundScript, Oracle, OracleBase, ScriptPlayer, SearchProgress, SearchSettings, search,
 };
@@ -105,7 +106,7 @@ fn find(tasks: &Tasks, config: &Config, n_steps: u64, seed: u64) -> Result<Found
         return Err(Failure::of(ExitCode::WrongInput, Error::NoMessages));
     }
     drop(environment);
-    let settings = SearchSettings { n_steps, seed, n_threads: n_threads(), stop: &stop };
+    let settings = SearchSettings { n_steps, seed, n_threads: n_cores(), stop: &stop };
     tracing::info!(domain = %config.domain, n_steps, seed, "searching a script");
     let mut show = |progress: &SearchProgress| {
         if terminal::is_watched() {

@@ -4,7 +4,7 @@ use leadtime_eval::measure::PlaySettings;
 use leadtime_eval::playthrough::{Choosing, FalseSentence, Truthfulness};
 use leadtime_proto::phrase::counted;
 use leadtime_runs::Tasks;
-use leadtime_runs::evaluation::n_threads;
+use leadtime_runs::build::n_cores;
 use leadtime_table::Table;
 use serde_json::json;
 
@@ -30,7 +30,7 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs, task: &EvalTask) -> Result<(),
     let make = || tasks.registry.build(&config.evaluation.task);
     let n_episodes = task.n_episodes(args);
     let settings = PlaySettings::new(u64::from(n_episodes), args.acting.choosing.eval_seed);
-    let settings = settings.threads(n_threads());
+    let settings = settings.threads(n_cores());
     let mut results = Vec::new();
     for player in &task.players {
         let choices = CHOICES.map(|(choice, _)| choice);
