@@ -46,20 +46,26 @@ pub const PUBLISHING: usize = 64;
 const ACK_TIMEOUT: Duration = Duration::from_secs(3);
 /// How long an actor without environments waits before it says hello again.
 const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long an actor without credit waits before it says hello again, the first time and at most: a learner credits its
-/// members twice a second, so an actor without credit is not a member. One that is at work does not ask.
-const CREDIT_TIMEOUT: (Duration, Duration) = (Duration::from_secs(5), Duration::from_mins(1));
+/// How long an actor without credit waits before it says hello again, the first time: a learner credits its members twice a
+/// second, so an actor without credit is not a member. One that is at work does not ask.
+const CREDIT_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long it waits at most: each time twice as long.
+const MAX_CREDIT_TIMEOUT: Duration = Duration::from_mins(1);
 /// The most versions of the weights that are pulled at once. Over a line with a round trip of 100 ms that is 160 a second.
 pub(crate) const MAX_PULLS: usize = 16;
 /// The most assignments that wait while one is being restored, and the most repetitions of one. A learner gives a few.
 const MAX_ORDERS: usize = 64;
 /// The pause between two lines in the log about a learner that does not answer.
 const LOG_PAUSE: Duration = Duration::from_mins(1);
-/// How long the first and the last hellos to a learner that was lost may take, search and answer included: where many
-/// actors come back at once, an answer is late, and one that is not waited for costs one more hello.
-const HELLO_TIMEOUT: (Duration, Duration) = (Duration::from_secs(2), Duration::from_secs(10));
-/// First and longest pause between hellos that failed; the first one also after a pull that failed.
-const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(2));
+/// How long the first hello to a learner that was lost may take, search and answer included.
+const HELLO_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long later ones may take: where many actors come back at once, an answer is late, and one that is not waited for costs one
+/// more hello.
+const MAX_HELLO_TIMEOUT: Duration = Duration::from_secs(10);
+/// The first pause after a hello that failed, and the pause after a pull that failed.
+const BACK_OFF: Duration = Duration::from_millis(100);
+/// The longest pause between hellos that failed.
+const MAX_BACK_OFF: Duration = Duration::from_secs(2);
 
 /// Something that happened. `W`, `R` and `E` are what an [`Actor`] passes on without looking into it.
 #[derive(Debug)]
@@ -266,7 +272,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             next: None,
             last_progress: now,
             last_credit: now,
-            credit_timeout: CREDIT_TIMEOUT.0,
+            credit_timeout: CREDIT_TIMEOUT,
             n_reconnects: 0,
             is_leaving: false,
             has_ended: false,
@@ -313,7 +319,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
                 }
             }
             ActorInput::PullFailed { version, not_kept } => {
-                self.may_pull_from = now + BACK_OFF.0;
+                self.may_pull_from = now + BACK_OFF;
                 if self.pulls.remove(&version) == Some(self.generation)
                     && self.weights.failed(version, not_kept, self.next)
                 {
@@ -475,7 +481,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
         if credit.learner != self.learner() {
             return;
         }
-        (self.last_credit, self.credit_timeout) = (now, CREDIT_TIMEOUT.0);
+        (self.last_credit, self.credit_timeout) = (now, CREDIT_TIMEOUT);
         if self.outbox.credit(credit.acknowledged, credit.limit) {
             self.last_progress = now;
         }
@@ -513,7 +519,7 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             // It may have given this actor up, over an order that was answered too late, without this actor's notice.
             // Less and less often, because one that is there and does not credit is not helped by hellos.
             debug!("no credit; asking whether this actor still belongs to the run");
-            self.credit_timeout = (self.credit_timeout * 2).min(CREDIT_TIMEOUT.1);
+            self.credit_timeout = (self.credit_timeout * 2).min(MAX_CREDIT_TIMEOUT);
             self.greet(now);
         } else if is_idle && silence > IDLE_TIMEOUT {
             debug!("no environments; asking for some");
@@ -528,8 +534,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             self.greeting = Some(Greeting {
                 since: now,
                 logged: now,
-                pause: BACK_OFF.0,
-                timeout: HELLO_TIMEOUT.0,
+                pause: BACK_OFF,
+                timeout: HELLO_TIMEOUT,
                 presence: None,
                 published: self.outbox.made,
                 retry_at: Some(now),
@@ -586,8 +592,8 @@ impl<W: Clone, R, E: Default> Actor<W, R, E> {
             warn!(%run, "still looking for the learner, gone for {gone}; for {left} more");
         }
         greeting.retry_at = Some(now + Self::jittered(&mut self.jitter, greeting.pause));
-        greeting.pause = (greeting.pause * 2).min(BACK_OFF.1);
-        greeting.timeout = (greeting.timeout * 2).min(HELLO_TIMEOUT.1);
+        greeting.pause = (greeting.pause * 2).min(MAX_BACK_OFF);
+        greeting.timeout = (greeting.timeout * 2).min(MAX_HELLO_TIMEOUT);
     }
 
     /// Continues with the learner that sent the welcome, which may be a new one.

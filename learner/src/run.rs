@@ -54,8 +54,8 @@ const EVENTS_AT_ONCE: usize = 256;
 const WAITING_EVERY: Duration = Duration::from_secs(30);
 /// How long the end of a run waits for actors to leave and for the update under way.
 const FAREWELL: Duration = Duration::from_millis(2_500);
-/// How long the end of a run that cannot be saved is kept in memory, and the pause between two tries.
-const KEPT: (Duration, Duration) = (Duration::from_mins(1), TICK);
+/// How long the end of a run that cannot be saved is kept in memory; it is tried again every [`TICK`].
+const KEPT: Duration = Duration::from_mins(1);
 
 /// Everything that can wake a learner.
 #[derive(Debug)]
@@ -617,8 +617,7 @@ impl RunLoop {
 
     /// Saves the end of the run. If that fails, tries again until somebody insists on the end, or [`KEPT`] is over.
     async fn save_end(&mut self, stop: &RunStop) -> Result<(), Error> {
-        let (kept, pause) = KEPT;
-        let deadline = Instant::now() + kept;
+        let deadline = Instant::now() + KEPT;
         // Who asked the run to end did not ask for this to be given up; who asks now does.
         let had_insisted = stop.insist.is_cancelled();
         let mut is_told = false;
@@ -630,7 +629,7 @@ impl RunLoop {
             self.saving.failed(Instant::now());
             if !std::mem::replace(&mut is_told, true) {
                 let reason = with_causes(error);
-                self.sink.on_event(&RunEvent::Unsaved { reason, kept });
+                self.sink.on_event(&RunEvent::Unsaved { reason, kept: KEPT });
             }
             let is_given_up = stop.insist.is_cancelled() && !had_insisted;
             if is_given_up || Instant::now() >= deadline {
@@ -638,7 +637,7 @@ impl RunLoop {
             }
             self.sink.on_tick(&self.health());
             tokio::select! {
-                () = tokio::time::sleep(pause) => {}
+                () = tokio::time::sleep(TICK) => {}
                 () = stop.insist.cancelled(), if !had_insisted => {}
             }
         }

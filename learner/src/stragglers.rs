@@ -6,7 +6,7 @@
 //! bit of the run, so a wrong guess here costs time and nothing else.
 //!
 //! Restoring takes time, with environments in Python several seconds each. As long as a member has not answered the order with
-//! the snapshots, it is not late, up to [`RESTORE_TICKS`], which count from one rollout that it delivers to the next: whoever answers
+//! the snapshots, it is not late, up to [`MAX_RESTORE_TICKS`], which count from one rollout that it delivers to the next: whoever answers
 //! and has the same environments given again, delivers nothing and would hold up the run for ever. More environments than it ever had
 //! since then bring time of their own, for they come from a member that failed while this one restored.
 //!
@@ -25,15 +25,18 @@ const REPORT_AFTER: u32 = 6;
 const REPORT_EVERY: u32 = 60;
 /// Ticks that a member may be behind the others before it loses its environments.
 const TAKE_AFTER: u32 = 12;
-/// Ticks that a member may take to restore a snapshot, and at most to restore all that it is given before it delivers something, what
-/// is added meanwhile apart.
-const RESTORE_TICKS: (u32, u32) = (16, 240);
+/// Ticks that a member may take to restore a snapshot.
+const RESTORE_TICKS: u32 = 16;
+/// Ticks that it may take at most to restore all that it is given before it delivers something, what is added meanwhile apart.
+const MAX_RESTORE_TICKS: u32 = 240;
 /// How many times as long as the others a member may take, where that is more.
 const PATIENCE: u32 = 3;
 /// What an update is assumed to take before the first one, in ticks.
 const FIRST_PERIOD: u32 = 10;
-/// Ticks, and updates, over which a member's speed is measured.
-const WINDOW: (u32, u32) = (40, 4);
+/// Ticks over which a member's speed is measured at least.
+const WINDOW_TICKS: u32 = 40;
+/// Updates over which it is measured at least.
+const WINDOW_UPDATES: u32 = 4;
 /// A member is too slow if the run waits for it alone in more than three of four ticks.
 const SLOW: (u32, u32) = (3, 4);
 /// Ticks until a member that failed for the first time is tried again.
@@ -65,7 +68,7 @@ struct Wait {
     n_late_in_window: u32,
     /// Those in which it would have been late if it had not been restoring, as long as it has environments.
     n_excused: u32,
-    /// How many of those it may have beyond [`RESTORE_TICKS`]: for environments that were added to those that it had.
+    /// How many of those it may have beyond [`MAX_RESTORE_TICKS`]: for environments that were added to those that it had.
     n_added: u32,
     /// The most environments with which it was given snapshots in that time, or had while it still restored; 0 if it was not. What
     /// it got without snapshots is not in it: that took no time, and will if it comes back with them.
@@ -158,7 +161,7 @@ impl Stragglers {
         wait.n_most = wait.n_most.max(n_held);
         // What it was given before comes first.
         let before = wait.restoring.map_or(0, |restoring| restoring.ticks_left);
-        let n_left = RESTORE_TICKS.1.saturating_add(wait.n_added).saturating_sub(wait.n_excused);
+        let n_left = MAX_RESTORE_TICKS.saturating_add(wait.n_added).saturating_sub(wait.n_excused);
         let ticks_left = restore_ticks(n_snapshots).saturating_add(before).min(n_left);
         wait.restoring = Some(Restoring { epoch, ticks_left });
     }
@@ -290,7 +293,7 @@ impl Stragglers {
                 behind.push((actor.clone(), 0));
             }
         }
-        if self.window_ticks >= WINDOW.0 && self.window_updates >= WINDOW.1 {
+        if self.window_ticks >= WINDOW_TICKS && self.window_updates >= WINDOW_UPDATES {
             let is_slow = |wait: &Wait| wait.n_late_in_window * SLOW.1 > self.window_ticks * SLOW.0;
             let slow = self.waits.iter().filter(|(_, wait)| is_slow(wait));
             // Half, and nothing for a member with one: it is slow but alive, so less work may be all it needs.
@@ -327,7 +330,7 @@ impl Stragglers {
 /// Returns how long a member may take to restore so many snapshots, in ticks.
 fn restore_ticks(n_snapshots: usize) -> u32 {
     let n_snapshots = u32::try_from(n_snapshots).unwrap_or(u32::MAX);
-    n_snapshots.saturating_mul(RESTORE_TICKS.0).min(RESTORE_TICKS.1)
+    n_snapshots.saturating_mul(RESTORE_TICKS).min(MAX_RESTORE_TICKS)
 }
 
 fn back_off(n_failures: u32) -> u64 {
@@ -392,7 +395,7 @@ mod tests {
             s.restores(&id("slow"), Epoch(3), n_snapshots, n_snapshots);
             s
         };
-        for (n_snapshots, n_ticks) in [(4, 4 * RESTORE_TICKS.0), (4_000, RESTORE_TICKS.1)] {
+        for (n_snapshots, n_ticks) in [(4, 4 * RESTORE_TICKS), (4_000, MAX_RESTORE_TICKS)] {
             let found = ticks(&mut restoring(n_snapshots), 1_000, |_, _| lacking.clone());
             assert_eq!(found, Some((n_ticks + TAKE_AFTER + 1, id("slow"))));
         }
@@ -400,7 +403,7 @@ mod tests {
         let mut s = restoring(4);
         s.restores(&id("slow"), Epoch(4), 1, 5);
         let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
-        assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
+        assert_eq!(found, Some((5 * RESTORE_TICKS + TAKE_AFTER + 1, id("slow"))));
         // Once it has answered, it is compared with the others again.
         let mut s = restoring(4);
         let found = ticks(&mut s, 1_000, |tick, s| {
@@ -424,7 +427,7 @@ mod tests {
     #[test]
     fn a_member_that_answers_and_delivers_nothing_has_its_time_to_restore_once() {
         let lacking = counts(&[("slow", 4)]);
-        let most = RESTORE_TICKS.1 + TAKE_AFTER + 1;
+        let most = MAX_RESTORE_TICKS + TAKE_AFTER + 1;
         let again = |s: &mut Stragglers, epoch: u32, n_held: usize| {
             s.restored(&id("slow"), Epoch(u64::from(epoch)));
             s.restores(&id("slow"), Epoch(u64::from(epoch) + 1), 20, n_held);
@@ -451,7 +454,7 @@ mod tests {
             again(s, tick, n_held);
             lacking.clone()
         });
-        assert_eq!(found, Some((most + RESTORE_TICKS.0, id("slow"))));
+        assert_eq!(found, Some((most + RESTORE_TICKS, id("slow"))));
         s.assigned(&counts(&[("a", 8), ("slow", 0)]));
         s.assigned(&counts(&[("a", 4), ("slow", 4)]));
         let mut delivered = stragglers(&[("a", 4), ("slow", 4)]);
@@ -460,7 +463,7 @@ mod tests {
         delivered.delivered(&id("slow"));
         for mut s in [s, delivered] {
             again(&mut s, 200, 4);
-            assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
+            assert_eq!(ticks(&mut s, MAX_RESTORE_TICKS, |_, _| lacking.clone()), None);
         }
     }
 
@@ -473,12 +476,12 @@ mod tests {
             if has_one_on_its_way {
                 s.delivered(&id("slow"));
             }
-            assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
+            assert_eq!(ticks(&mut s, MAX_RESTORE_TICKS, |_, _| lacking.clone()), None);
             s.restored(&id("slow"), Epoch(1));
             s.restores(&id("slow"), Epoch(2), 5, 20);
             s.assigned(&counts(&[("a", 10), ("slow", 20)]));
             let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
-            assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
+            assert_eq!(found, Some((5 * RESTORE_TICKS + TAKE_AFTER + 1, id("slow"))));
         }
     }
 
@@ -487,7 +490,7 @@ mod tests {
         let lacking = counts(&[("slow", 15)]);
         let mut s = stragglers(&[("a", 15), ("slow", 15)]);
         s.restores(&id("slow"), Epoch(1), 15, 15);
-        assert_eq!(ticks(&mut s, RESTORE_TICKS.1, |_, _| lacking.clone()), None);
+        assert_eq!(ticks(&mut s, MAX_RESTORE_TICKS, |_, _| lacking.clone()), None);
         s.restored(&id("slow"), Epoch(1));
         // Five that have just begun come, another one steps them for a while, and they come back.
         for n_held in [20, 15] {
@@ -496,7 +499,7 @@ mod tests {
         s.restores(&id("slow"), Epoch(4), 5, 20);
         s.assigned(&counts(&[("a", 10), ("slow", 20)]));
         let found = ticks(&mut s, 1_000, |_, _| lacking.clone());
-        assert_eq!(found, Some((5 * RESTORE_TICKS.0 + TAKE_AFTER + 1, id("slow"))));
+        assert_eq!(found, Some((5 * RESTORE_TICKS + TAKE_AFTER + 1, id("slow"))));
     }
 
     #[test]
@@ -537,7 +540,7 @@ mod tests {
             }
             counts(&[("slow", 1)])
         };
-        assert_eq!(ticks(&mut s, 100, pace), Some((WINDOW.0, id("slow"))));
+        assert_eq!(ticks(&mut s, 100, pace), Some((WINDOW_TICKS, id("slow"))));
         assert_eq!(s.max_envs(&id("slow")), 1);
         s.assigned(&counts(&[("a", 7), ("slow", 1)]));
         let found = ticks(&mut s, 100, pace);

@@ -413,7 +413,7 @@ fn a_hello_that_is_not_answered_may_take_longer_the_next_time_and_no_two_actors_
     for ((timeout, pause), most) in first.iter().zip([2_u64, 4, 8, 10, 10, 10]) {
         let most = Duration::from_secs(most);
         assert!((most.mul_f64(0.75)..=most).contains(timeout), "{first:?}");
-        assert!(*pause <= BACK_OFF.1);
+        assert!(*pause <= MAX_BACK_OFF);
     }
     assert_eq!(first, hellos(1), "a named stream, not the clock");
     assert!(first.iter().zip(hellos(2)).all(|(a, b)| *a != b));

@@ -33,7 +33,7 @@ use zenoh::session::Session;
 
 use crate::answer::{Answers, PendingReply, unload};
 use crate::ask::{self, Inquiry, InquiryEnd, ask_for};
-use crate::discovery::{self, RETRY};
+use crate::discovery::{self, MAX_PAUSE, MIN_PAUSE};
 use crate::error::RUN_IS_ENDING;
 use crate::event::ActorEvent;
 use crate::keys::{INCARNATION, Key, Keys, Member};
@@ -205,7 +205,7 @@ impl ActorLink {
                     if started.elapsed() < timeout.min(TAKEN_GRACE) =>
                 {
                     unheard = None;
-                    tokio::time::sleep(RETRY.1).await;
+                    tokio::time::sleep(MAX_PAUSE).await;
                 }
                 InquiryEnd::Good((learner, reply)) => return self.answered(run, learner, reply),
                 // It proves nothing, so it ends nobody who has a learner that may come back.
@@ -224,7 +224,7 @@ impl ActorLink {
                 }
                 InquiryEnd::Nobody | InquiryEnd::TimedOut if started.elapsed() < timeout => {
                     debug!(%run, "the learner did not answer the hello, trying again");
-                    tokio::time::sleep(RETRY.0).await;
+                    tokio::time::sleep(MIN_PAUSE).await;
                 }
                 InquiryEnd::Nobody | InquiryEnd::TimedOut => {
                     return Err(Error::NoAnswer { key, timeout });

@@ -19,9 +19,10 @@ const LOOK: Duration = Duration::from_secs(1);
 const PROOF_OF_LIFE: Duration = Duration::from_secs(6);
 /// How long a run that was named may be missing while others are there.
 const WRONG_RUN_GRACE: Duration = Duration::from_secs(2);
-/// First and longest pause between attempts to find a run.
-pub(crate) const RETRY: (Duration, Duration) =
-    (Duration::from_millis(20), Duration::from_millis(500));
+/// The first pause between attempts to find a run.
+pub(crate) const MIN_PAUSE: Duration = Duration::from_millis(20);
+/// The longest pause between them.
+pub(crate) const MAX_PAUSE: Duration = Duration::from_millis(500);
 /// Most learners at one address that are looked at.
 const MAX_LEARNERS: usize = 1_024;
 
@@ -55,7 +56,7 @@ pub(crate) async fn find(
 ) -> Result<RunName> {
     let timeout = settings.timeout;
     let endpoints = || session::describe(&settings.endpoints);
-    let mut pause = RETRY.0;
+    let mut pause = MIN_PAUSE;
     loop {
         let mut runs = runs(&current()).await?;
         match wanted {
@@ -79,7 +80,7 @@ pub(crate) async fn find(
             });
         }
         tokio::time::sleep(pause.min(patience.saturating_sub(waited))).await;
-        pause = (pause * 2).min(RETRY.1);
+        pause = (pause * 2).min(MAX_PAUSE);
     }
 }
 

@@ -94,12 +94,12 @@ fn one() -> NonZeroUsize {
 mod tests {
     use super::*;
     use crate::ListenSettings;
-    use crate::session::ACCEPT;
+    use crate::session::ACCEPT_PENDING;
 
     #[test]
     fn there_are_threads_for_all_connections_to_end_and_open_at_once() {
         const { assert!(N_BLOCKING > 2 * ListenSettings::MOST_ACTORS as usize) };
-        const { assert!(N_BLOCKING > 2 * ACCEPT.0 as usize) };
+        const { assert!(N_BLOCKING > 2 * ACCEPT_PENDING) };
         assert_eq!(runtime().matches("2048").count(), 3, "{}", runtime());
     }
 

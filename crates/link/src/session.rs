@@ -36,13 +36,16 @@ const QUICK: [&str; 3] = ["real_time", "interactive_high", "interactive_low"];
 const MAX_BYTES: usize = 2 * limits::MAX_ROLLOUT_BYTES;
 /// Room over the largest message for keys and headers.
 const MESSAGE_SLACK: usize = 64 << 10;
-/// First and longest pause between attempts to connect, in milliseconds.
-const RETRY_MS: (u64, u64) = (100, 1_000);
+/// The first pause between attempts to connect.
+const MIN_RETRY_MS: u64 = 100;
+/// The longest pause between them.
+const MAX_RETRY_MS: u64 = 1_000;
 /// Longest single round of attempts; after the first that fails, the log says that nobody answers.
 const ROUND: Duration = Duration::from_secs(2);
-/// Connections that may be opening at once, and how long each may take, in milliseconds: a peer that connects and says nothing
-/// must not keep out those who do.
-pub(crate) const ACCEPT: (u64, u64) = (1_000, 4_000);
+/// Connections that may be opening at once: a peer that connects and says nothing must not keep out those who do.
+pub(crate) const ACCEPT_PENDING: usize = 1_000;
+/// How long each of them may take.
+const ACCEPT_TIMEOUT_MS: u64 = 4_000;
 /// Pipes, of two files each, that can be opened before a session is: the library opens 14 files and one for each connection, and a
 /// process that has a connection has files of its own to write.
 const SPARE_PIPES: usize = 12;
@@ -203,8 +206,8 @@ async fn listen_with(
         ("mode", format!("\"{mode}\"")),
         ("listen/endpoints", json_list(&settings.endpoints)),
         ("connect/endpoints", json_list(&settings.connect)),
-        ("transport/unicast/accept_pending", ACCEPT.0.to_string()),
-        ("transport/unicast/accept_timeout", ACCEPT.1.to_string()),
+        ("transport/unicast/accept_pending", ACCEPT_PENDING.to_string()),
+        ("transport/unicast/accept_timeout", ACCEPT_TIMEOUT_MS.to_string()),
         max_message(max_bytes),
         wait_before_close(LEARNER_WAIT_BEFORE_CLOSE_US),
     ];
@@ -367,9 +370,8 @@ fn wait_before_close(micros: u64) -> (&'static str, String) {
 }
 
 fn config(special: &[(&'static str, String)]) -> Config {
-    let (first, longest) = RETRY_MS;
     let retry = format!(
-        "{{ period_init_ms: {first}, period_max_ms: {longest}, period_increase_factor: 2 }}"
+        "{{ period_init_ms: {MIN_RETRY_MS}, period_max_ms: {MAX_RETRY_MS}, period_increase_factor: 2 }}"
     );
     let always = [
         ("scouting/multicast/enabled", "false".to_owned()),

@@ -17,8 +17,10 @@ use leadtime_trace::{
 use crate::error::Error;
 use crate::new_file::NewFile;
 
-/// How many shares of a thread's time are listed, and the smallest that is.
-const SHARES: (usize, f64) = (4, 0.01);
+/// How many shares of a thread's time are listed at most.
+const N_SHARES: usize = 4;
+/// The smallest share that is listed.
+const MIN_SHARE: f64 = 0.01;
 /// The share of its time from which on somebody waits much.
 const MUCH: f64 = 0.1;
 
@@ -100,8 +102,7 @@ fn limit(summary: &TraceSummary) -> Option<&'static str> {
 
 /// Lists the largest shares of a thread's time; `None` if all are small.
 fn shares(track: &TrackSummary) -> Option<String> {
-    let (n_shares, smallest) = SHARES;
-    let shares = track.shares.iter().filter(|(_, share)| *share >= smallest).take(n_shares);
+    let shares = track.shares.iter().filter(|(_, share)| *share >= MIN_SHARE).take(N_SHARES);
     let shares: Vec<String> =
         shares.map(|(name, share)| format!("{name} {:.0} %", 100.0 * share)).collect();
     (!shares.is_empty()).then(|| format!("{:<9} {}", track.name, shares.join(", ")))
