@@ -38,6 +38,7 @@ use tokio_util::sync::CancellationToken;
 const N_ENVS: usize = 3;
 const N_UPDATES: u64 = 12;
 const RUN_SEED: u64 = 11;
+const RETENTION: Retention = Retention { newest: 3, every_updates: 0 };
 /// Nothing in these tests takes this long.
 const PATIENCE: Duration = Duration::from_mins(1);
 
@@ -289,7 +290,7 @@ impl Learner {
             build: Build { program: "test".to_owned(), cpu: "cpu".to_owned() },
             checkpoints: directory.join("checkpoints"),
             checkpoint_interval: CheckpointInterval { updates: 2, time: Duration::from_mins(1) },
-            retention: Retention::default(),
+            retention: RETENTION,
             checkpoint_patience: Duration::from_mins(10),
             initial: None,
             identity: [mode as u8; 32],
@@ -901,7 +902,7 @@ async fn a_run_whose_end_cannot_be_saved_waits_for_its_actors_once() {
     // The run's directory was removed, and another learner has begun there.
     let checkpoints = directory.path().join("checkpoints");
     std::fs::remove_dir_all(&checkpoints).unwrap();
-    let _other = CheckpointStore::open(&checkpoints, Retention::default()).unwrap();
+    let _other = CheckpointStore::open(&checkpoints, RETENTION).unwrap();
     learner.stop.cancel();
     let mut n_dismissed = 0;
     let ended = async {

@@ -313,7 +313,7 @@ mod tests {
     }
 
     fn open(path: &Path) -> Result<CheckpointStore, CheckpointError> {
-        CheckpointStore::open(path, Retention::default())
+        CheckpointStore::open(path, Retention { newest: 3, every_updates: 0 })
     }
 
     fn newest(store: &mut CheckpointStore) -> Loaded<Vec<u64>> {
@@ -335,7 +335,7 @@ mod tests {
         let (_directory, mut store) = store();
         assert!(store.newest::<Vec<u64>>().unwrap().is_none());
         write(&mut store, 8..13);
-        assert_eq!(store.files().unwrap().len(), Retention::default().newest);
+        assert_eq!(store.files().unwrap().len(), 3);
         // What a crash while writing leaves.
         let torn = store.directory.join("000000000013.checkpoint.12.partial");
         fs::write(&torn, b"half").unwrap();

@@ -198,7 +198,7 @@ pub(crate) mod tests {
             build: Build { program: "test".to_owned(), cpu: "cpu".to_owned() },
             checkpoints: PathBuf::new(),
             checkpoint_interval: CheckpointInterval { updates: 1, time: Duration::from_mins(1) },
-            retention: Retention::default(),
+            retention: Retention { newest: 3, every_updates: 0 },
             checkpoint_patience: Duration::from_mins(1),
             initial: None,
             identity: [0; 32],

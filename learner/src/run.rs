@@ -13,10 +13,11 @@
 //! # Shutdown
 //!
 //! When all updates are done, when a policy is as good as was asked for, or when asked to stop: actors are told, the update
-//! under way is waited for (for a limited time), the state goes to the disk, the books are closed. All of it takes less than
-//! five seconds. An update that takes longer is made again after a resume, with the same bits: the state before it is what is
-//! saved. A policy that waits to be evaluated is saved as well. Only when all updates are done the end waits for its
-//! evaluation. A run that fails ends in the same way: the state after its last good update is saved.
+//! under way is waited for (both together for [`FAREWELL`] at most), the state goes to the disk, the books are closed. An update
+//! that takes longer is made again after a resume, with the same bits: the state before it is what is saved. A state that cannot be
+//! written is tried again for [`KEPT`]. A policy that waits to be evaluated is saved as well. Only when all updates are done, the end
+//! waits for its evaluation. How long the process lets all of this take is not decided here. A run that fails ends in the same way:
+//! the state after its last good update is saved.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

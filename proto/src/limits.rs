@@ -16,7 +16,8 @@ pub const MAX_LIVE_BYTES: usize = 64 << 10;
 pub const MAX_HISTORY_POINTS: usize = 4_000;
 /// The largest set of policy parameters, in bytes.
 pub const MAX_WEIGHTS_BYTES: usize = 64 << 20;
-/// The largest message a process takes from the network at all, in bytes.
+/// The largest message of all, in bytes. A process takes a little more from the network, for keys and headers; learners and routers
+/// take less, for they read no weights.
 pub const MAX_MESSAGE_BYTES: usize = 64 << 20;
 /// The largest snapshot of one environment, in bytes.
 pub const MAX_SNAPSHOT_BYTES: usize = 256 << 10;

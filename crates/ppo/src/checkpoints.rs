@@ -9,8 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::settings::{LearnerSettings, Mode};
 
-/// How many checkpoints are kept where nothing else is wanted.
-const KEPT: usize = 3;
 /// The most of the newest checkpoints that can be kept.
 pub const MAX_KEPT: usize = 1_000;
 /// The largest state that a checkpoint holds, in bytes.
@@ -45,12 +43,6 @@ pub struct Retention {
     pub newest: usize,
     /// Also those after a multiple of so many updates; 0: none.
     pub every_updates: u64,
-}
-
-impl Default for Retention {
-    fn default() -> Self {
-        Self { newest: KEPT, every_updates: 0 }
-    }
 }
 
 impl Retention {

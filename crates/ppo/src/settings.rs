@@ -35,52 +35,52 @@ pub enum Truncation {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LearnerSettings {
-    /// Environments of the run, over all actors. Default 4; more make larger, smoother updates.
+    /// Environments of the run, over all actors, 1..=65536; more make larger, smoother updates.
     pub n_envs: usize,
-    /// Steps per rollout. Default 128; longer ones see further before they bootstrap.
+    /// Steps per rollout, 1..=65536; longer ones see further before they bootstrap.
     pub n_steps: usize,
-    /// Environment steps of the whole run. Default 500 000; rounded down to whole updates, but at least one update.
+    /// Environment steps of the whole run, at least 1; rounded down to whole updates, but at least one update.
     pub total_steps: u64,
-    /// Adam's step size. Default 2.5e-4.
+    /// Adam's step size, above 0.
     pub learning_rate: f64,
-    /// Whether the learning rate falls linearly over the run. Default true.
+    /// Whether the learning rate falls linearly over the run.
     pub anneal: bool,
-    /// Discount per step, 0..=1. Default 0.99.
+    /// Discount per step, 0..=1.
     pub gamma: f64,
-    /// Decay of generalised advantages, 0..=1. Default 0.95; 1 trusts returns, 0 trusts the critic. V-trace ignores it.
+    /// Decay of generalised advantages, 0..=1: 1 trusts returns, 0 trusts the critic. V-trace ignores it.
     pub gae_lambda: f64,
-    /// Minibatches per epoch. Default 4.
+    /// Minibatches per epoch, 1..=`n_envs * n_steps`.
     pub n_minibatches: usize,
-    /// Passes over the data per update, 1..=1000. Default 4.
+    /// Passes over the data per update, 1..=1000.
     pub n_epochs: usize,
-    /// Clip range of the probability ratio, and of the value where it is clipped. Default 0.2.
+    /// Clip range of the probability ratio, and of the value where it is clipped; above 0.
     pub clip: f64,
-    /// Whether the value's change is clipped too. Default true.
+    /// Whether the value's change is clipped too.
     pub value_clip: bool,
-    /// Whether advantages are normalised per minibatch. Default true.
+    /// Whether advantages are normalised per minibatch.
     pub normalize_advantages: bool,
-    /// Weight of the entropy bonus. Default 0.01; more keeps the policy random for longer.
+    /// Weight of the entropy bonus, at least 0; more keeps the policy random for longer.
     pub entropy_coef: f64,
-    /// Weight of the value loss. Default 0.5.
+    /// Weight of the value loss, at least 0.
     pub value_coef: f64,
-    /// Largest global gradient norm; longer gradients are shortened to it. Default 0.5.
+    /// Largest global gradient norm, above 0; longer gradients are shortened to it.
     pub max_grad_norm: f64,
-    /// Ends the epochs of an update early once the approximate KL, a mean over an epoch's minibatches, exceeds it. Default: never.
+    /// Ends the epochs of an update early once the approximate KL, a mean over an epoch's minibatches, exceeds it; `None`: never.
     pub target_kl: Option<f64>,
-    /// `bootstrap` (default) or `cleanrl`.
+    /// What a time limit means for the return.
     pub truncation: Truncation,
-    /// Factor on every reward, before normalisation. Default 1.
+    /// Factor on every reward, before normalisation; above 0.
     pub reward_scale: f64,
-    /// Whether rewards are divided by the running deviation of the discounted return. Default false.
+    /// Whether rewards are divided by the running deviation of the discounted return.
     pub normalize_rewards: bool,
-    /// `sync` (default), `lag` or `async`.
+    /// How acting and learning interleave.
     pub mode: Mode,
-    /// Updates that acting runs ahead in mode `lag`, 1..=64 in every mode. Default 1.
+    /// Updates that acting runs ahead in mode `lag`, 1..=64; in the other modes it decides nothing, and may be 0.
     pub lag: u64,
-    /// Oldest rollouts, in versions, that mode `async` trains on. Default 8.
+    /// Oldest rollouts, in versions, that mode `async` trains on, 0..=10000.
     pub staleness_max: u64,
     /// Threads that share an update, 0..=[`MAX_THREADS`]; 0: the program chooses, and a [`Trainer`](crate::Trainer) alone takes
-    /// one. They change no bit. Default 0.
+    /// one. They change no bit.
     pub threads: usize,
 }
 

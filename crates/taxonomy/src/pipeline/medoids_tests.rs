@@ -66,7 +66,7 @@ fn few_things_are_all_kept() {
     assert_eq!(medoids(&Distances::new(0, |_, _| 0.0), 4), [0; 0]);
 }
 
-/// Made by `taxonomy/scripts/kmedoids_golden.py`: the reference package's PAM, and exhaustive search beside it.
+/// Made by `crates/taxonomy/scripts/kmedoids_golden.py`: the reference package's PAM, and exhaustive search beside it.
 #[test]
 fn build_and_swap_finds_what_the_reference_finds() {
     let points: Vec<(f64, f64)> =
