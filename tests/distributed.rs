@@ -16,7 +16,7 @@ use leadtime_actor::{ActorEnd, ActorReport, ActorSettings, Worker};
 use leadtime_learner::checkpoint::{CheckpointError, CheckpointStore};
 use leadtime_learner::{
     Build, HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, LearnerConfig, PolicyEvaluator,
-    ProgressSink, RatedPolicy, RunEnd, RunEvent, RunReport, UpdateProgress,
+    ProgressSink, RatedPolicy, RunEnd, RunEvent, RunHealth, RunReport, RunStop, UpdateProgress,
 };
 use leadtime_link::{
     ActorEvent, ActorLink, ConnectSettings, Endpoint, ListenSettings, RUNTIME_VARIABLE, StartKey,
@@ -179,6 +179,7 @@ fn diverging_reference(large: LearnerSettings) -> (u64, [u8; 32], Result<[u8; 32
 /// Tells a test how far a run is, holds it there, and remembers what happened.
 struct Witness {
     n_updates: watch::Sender<u64>,
+    n_queued: watch::Sender<usize>,
     held_at: watch::Receiver<u64>,
     events: Events,
     policy: PolicySpec,
@@ -193,6 +194,10 @@ impl ProgressSink for Witness {
             let let_go = self.held_at.wait_for(|held_at| *held_at > n_updates);
             drop(block_in_place(|| Handle::current().block_on(let_go)));
         }
+    }
+
+    fn on_tick(&mut self, health: &RunHealth) {
+        self.n_queued.send_replace(health.n_queued);
     }
 
     fn on_event(&mut self, event: &RunEvent) {
@@ -268,6 +273,7 @@ fn assert_reported(events: &Events, is_it: impl Fn(&RunEvent) -> bool) {
 struct Learner {
     task: JoinHandle<Result<RunReport, leadtime_learner::Error>>,
     n_updates: watch::Receiver<u64>,
+    n_queued: watch::Receiver<usize>,
     held_at: watch::Sender<u64>,
     events: Events,
     stop: CancellationToken,
@@ -304,18 +310,17 @@ impl Learner {
 
     fn start_judged(config: LearnerConfig, judge: Option<Judge>) -> Self {
         let (progress, n_updates) = watch::channel(0);
+        let (queue, n_queued) = watch::channel(0);
         let (held_at, hold) = watch::channel(u64::MAX);
         let events = Arc::new(Mutex::new(Vec::new()));
         let (policy, heard) = (config.spec.policy.clone(), Arc::clone(&events));
-        let sink = Witness { n_updates: progress, held_at: hold, events: heard, policy };
+        let sink =
+            Witness { n_updates: progress, n_queued: queue, held_at: hold, events: heard, policy };
         let stop = CancellationToken::new();
-        let run = leadtime_learner::run(
-            config,
-            Box::new(sink),
-            judge.map(Judge::evaluation),
-            stop.clone(),
-        );
-        Self { task: tokio::spawn(run), n_updates, held_at, events, stop }
+        let held_out = judge.map(Judge::evaluation);
+        let run_stop = RunStop { ask: stop.clone(), insist: stop.clone() };
+        let run = leadtime_learner::run(config, Box::new(sink), held_out, run_stop);
+        Self { task: tokio::spawn(run), n_updates, n_queued, held_at, events, stop }
     }
 
     /// Starts the next learner at an address that a killed one may hold for a moment longer.
@@ -354,6 +359,19 @@ impl Learner {
     async fn reach(&mut self, n_updates: u64) {
         let reached = self.n_updates.wait_for(|n| *n >= n_updates);
         tokio::time::timeout(PATIENCE, reached).await.expect("in time").expect("still running");
+    }
+
+    /// Waits until so many rollouts are with the learner, in a tick that comes after this call.
+    async fn queues(&mut self, n_rollouts: usize) {
+        self.n_queued.mark_unchanged();
+        let queued = async {
+            let mut found = None;
+            while found != Some(n_rollouts) {
+                self.n_queued.changed().await.expect("still running");
+                found = Some(*self.n_queued.borrow_and_update());
+            }
+        };
+        tokio::time::timeout(PATIENCE, queued).await.expect("in time");
     }
 
     async fn report(self) -> RunReport {
@@ -567,11 +585,11 @@ async fn policies_that_wait_for_their_evaluation_survive_a_stop_and_the_best_is_
     let mut learner = judged(directory.path(), Judge::Hangs, 1);
     let helper = actor(directory.path(), "a", 1);
     learner.reach(6).await;
-    let further = learner.n_updates.wait_for(|n| *n > 6);
-    let waits = tokio::time::timeout(Duration::from_millis(500), further).await.is_err();
-    assert!(waits, "training waits for the evaluation");
+    // All that can be made with version 6. An update that is under way then would be waited for.
+    learner.queues(2 * N_ENVS).await;
     let stopped = learner.stopped_with(helper).await;
-    assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 6));
+    let waits = "training waits for the evaluation";
+    assert_eq!((stopped.end, stopped.n_updates), (RunEnd::Stopped, 6), "{waits}");
     assert_eq!((stopped.held_out.len(), stopped.best.version), (0, stopped.last.version));
     let learner = judged(directory.path(), Judge::Works, 2);
     let helper = actor(directory.path(), "a", 2);

@@ -84,12 +84,6 @@ pub struct RunStop {
     pub insist: CancellationToken,
 }
 
-impl From<CancellationToken> for RunStop {
-    fn from(stop: CancellationToken) -> Self {
-        Self { ask: stop.clone(), insist: stop }
-    }
-}
-
 /// Runs a learner until all updates are done or it is asked to stop.
 ///
 /// Needs tokio's multi-threaded runtime. A run that was interrupted goes on from its newest whole checkpoint. Without
@@ -104,9 +98,8 @@ pub async fn run(
     config: LearnerConfig,
     mut sink: Box<dyn ProgressSink>,
     held_out: Option<HeldOutEvaluation>,
-    stop: impl Into<RunStop>,
+    stop: RunStop,
 ) -> Result<RunReport, Error> {
-    let stop: RunStop = stop.into();
     let mut store = CheckpointStore::open(&config.checkpoints, config.retention)?;
     let mut point = resume::begin(&config, &mut store)?;
     for event in point.events.drain(..) {

@@ -79,18 +79,18 @@ pub(super) async fn run(tasks: &Tasks, args: &LearnerArgs) -> Result<(), Failure
         .stop_after
         .map_or_else(CancellationToken::new, |stop_after| stop_in_time(stop_after, &planned));
     // At the end of the run there is nothing to stop, and a last evaluation to wait for.
-    let stop = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
-    let stop = stop.map(|n_updates| (n_updates, planned.clone()));
+    let n_before_end = n_asked.filter(|n_updates| *n_updates < config.learner.n_updates());
+    let stop_after = n_before_end.map(|n_updates| (n_updates, planned.clone()));
     let status = status.map(|server| LearnerStatus::serve(server, facts));
     let trace = ProcessTrace::join(trace, "learner", "learner");
-    let sink = RunSink::new(run_dir.path.clone(), recorder, stop);
+    let sink = RunSink::new(run_dir.path.clone(), recorder, stop_after);
     let mut sink = sink.with_status(status).with_trace(trace);
     if let Some(command) = &args.run.metrics_to {
         sink.hand_on(MetricsPipe::start(command).context("--metrics-to").blame(ExitCode::Failed)?);
     }
     let held_out = held_out_evaluation(&config, &tasks.registry);
-    let stop = RunStop { ask: planned, insist: shutdown.clone() };
-    let report = leadtime_learner::run(learner, Box::new(sink), held_out, stop).await;
+    let run_stop = RunStop { ask: planned, insist: shutdown.clone() };
+    let report = leadtime_learner::run(learner, Box::new(sink), held_out, run_stop).await;
     service::stopping();
     if let Some(told) = made.and_then(TraceFile::finish) {
         output::note(&told);
@@ -178,12 +178,12 @@ fn write_report(tasks: &Tasks, config: &Config, run_dir: &RunDir) {
 fn stop_in_time(stop_after: StopAfter, planned: &CancellationToken) -> CancellationToken {
     let time_is_up = CancellationToken::new();
     if let Some(time) = stop_after.time() {
-        let (stop, told) = (planned.clone(), time_is_up.clone());
+        let (planned, told) = (planned.clone(), time_is_up.clone());
         tokio::spawn(async move {
             tokio::time::sleep(time).await;
             tracing::info!("the time of --stop-after is over: finishing");
             told.cancel();
-            stop.cancel();
+            planned.cancel();
         });
     }
     time_is_up
