@@ -488,7 +488,8 @@ fn notifier_run(domain: &str) -> (RunSpec, LearnerSettings) {
     (RunSpec { seed: RUN_SEED, task, env, policy, n_steps, schedule }, settings)
 }
 
-/// Who is killed was given states of the world, of the listener and of the network, and others go on from those that it handed in.
+/// The actor that is killed was given states of the world, of the listener and of the network, and others go on from those that it
+/// handed in.
 #[tokio::test(flavor = "multi_thread")]
 async fn in_every_world_actors_learn_what_a_loop_learns_also_when_one_is_killed() {
     let encoders = ["lander", "highway", "steakhouse"].map(|domain| {
@@ -809,7 +810,7 @@ fn pretended() -> StartKey {
     StartKey::numbered(2_000)
 }
 
-/// The assignment that who follows this order follows then.
+/// The assignment that an actor follows after this order.
 fn epoch(control: &Control) -> Epoch {
     if let Control::Assign(assignment) = control { assignment.epoch } else { Epoch(0) }
 }

@@ -38,7 +38,7 @@ pub(crate) fn endpoints(
     }
 }
 
-/// Returns how to dial these addresses, and for how long to look for who is wanted there.
+/// Returns how to dial these addresses, and for how long to look for the peer that is wanted there.
 pub(crate) fn connect_settings(
     connect: &[String],
     args: &TlsArgs,

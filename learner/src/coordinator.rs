@@ -211,7 +211,7 @@ impl Coordinator {
         if self.roster.is_taken(&key) {
             return Err(HelloRefusal::Taken);
         }
-        // Before `greet`: who has answered an order here has no rollouts to report that a killed learner took with it.
+        // Before `greet`: an actor that has answered an order here has no rollouts to report that a killed learner took with it.
         let acknowledged = self.acknowledged(&key, hello)?;
         let was_member = self.roster.is_member(&key);
         let build = Build { program: hello.program.clone(), cpu: hello.cpu.clone() };
@@ -296,7 +296,7 @@ impl Coordinator {
             if !is_new {
                 return Err(HelloRefusal::Nonsense);
             }
-            // Who reports a loss and answers an order stays in the books, and so in every checkpoint: the number of such reports is
+            // An actor that reports a loss and answers an order stays in the books, and so in every checkpoint: the number of such reports is
             // bounded, by this and the number of senders that are known at once.
             let has_room = !stranger || self.n_losers < MAX_LOSERS;
             if !has_room || acknowledged.0 - known.0 > MAX_LOST {
@@ -847,7 +847,7 @@ impl Coordinator {
 
     /// Gives environments that wait for an actor to those that are here, if there may be some.
     fn take_orphans(&mut self) {
-        // Who comes is asked first whether it is there; its answer makes this due again.
+        // An actor that comes is asked first whether it is there; its answer makes this due again.
         let is_due = std::mem::take(&mut self.orphans_due) && self.roster.n_answering() > 0;
         if is_due && self.stage == RunStage::Running && self.assigner.has_orphans() {
             self.rebalance();
@@ -907,7 +907,7 @@ impl Coordinator {
     }
 
     fn parts(&self, given: &[EnvId]) -> Vec<Vec<EnvAssignment>> {
-        // At least one part, also if it is empty: who only loses environments has to be told.
+        // At least one part, also if it is empty: an actor that only loses environments has to be told.
         let mut parts = vec![Vec::new()];
         let mut n_bytes = 0;
         for env in given.iter().map(|&env_id| self.queue.newest(env_id)) {

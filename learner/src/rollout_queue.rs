@@ -225,7 +225,7 @@ impl RolloutQueue {
         !newest.snapshot.is_empty() && !is_own
     }
 
-    /// Returns whether somebody else began the episode that goes on at an environment's newest snapshot than who sent that.
+    /// Returns whether another actor than the sender of an environment's newest snapshot began the episode that goes on there.
     pub fn is_passed_on(&self, env_id: EnvId) -> bool {
         let newest = self.envs[env_id.0 as usize].newest();
         newest.author != newest.begun_by

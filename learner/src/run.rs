@@ -612,7 +612,7 @@ impl RunLoop {
     /// Saves the end of the run. If that fails, tries again until somebody insists on the end, or [`KEPT`] is over.
     async fn save_end(&mut self, stop: &RunStop) -> Result<(), Error> {
         let deadline = Instant::now() + KEPT;
-        // Who asked the run to end did not ask for this to be given up; who asks now does.
+        // Whoever asked the run to end did not ask for this to be given up; whoever asks now does.
         let had_insisted = stop.insist.is_cancelled();
         let mut is_told = false;
         loop {

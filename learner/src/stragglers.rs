@@ -313,7 +313,7 @@ impl Stragglers {
         let (now, n_envs, waits) = (self.now, self.n_envs, &self.waits);
         let mut raised = false;
         self.probations.retain(|actor, probation| {
-            // Who still owes an answer would get no further order.
+            // A member that still owes an answer would get no further order.
             let is_restoring = waits.get(actor).is_some_and(|wait| wait.restoring.is_some());
             if probation.raised_at <= now && !is_restoring {
                 raised = true;

@@ -167,7 +167,7 @@ macro_rules! slug {
 }
 
 slug! {
-    /// Names an actor: who starts it again under this name means the same actor.
+    /// Names an actor: started again under this name it is the same actor.
     ActorId, "actor id", 48, &['-']
 }
 slug! {

@@ -185,7 +185,7 @@ pub enum ControlReply {
     ///
     /// The actor does not step these environments and says no more of them, so the learner has to give them again,
     /// under a new epoch, or they stand still for ever: from an older snapshot that is known to be good, or from the
-    /// beginning of a fresh episode (which the books count). Who sent the snapshot is to blame, not who reports it.
+    /// beginning of a fresh episode (which the books count). The sender of the snapshot is to blame, not the one that reports it.
     CannotRestore {
         /// The assignment that the actor now follows.
         epoch: Epoch,

@@ -174,8 +174,8 @@ impl Rollout {
 
     fn check_ends(&self, spec: &EnvSpec, n_steps: usize) -> Result<(), Refusal> {
         let mut earliest = 0;
-        // At most one end per step, in the order of the steps: who computes returns or scales rewards walks steps and
-        // ends together.
+        // At most one end per step, in the order of the steps: whatever computes returns or scales rewards walks steps
+        // and ends together.
         for (index, end) in self.ends.iter().enumerate() {
             let step = end.step as usize;
             if step < earliest || step >= n_steps {
@@ -199,7 +199,7 @@ impl Rollout {
 pub struct CheckedRollout(Rollout);
 
 impl CheckedRollout {
-    /// Moves the snapshot out: who trains on a rollout does not need it, and who hands out environments does.
+    /// Moves the snapshot out: training on a rollout does not need it, handing out environments does.
     pub fn take_snapshot(&mut self) -> Vec<u8> {
         std::mem::take(&mut self.0.snapshot)
     }

@@ -177,7 +177,7 @@ fn a_run_leaves_everything_that_is_promised() {
     // The stored configuration is complete and can be used as it is.
     let stored = run.join("config.toml");
     place.finish(&["check", "-c", stored.to_str().unwrap()]).with_code(0);
-    // Who starts it once more is told that there is nothing to do.
+    // Started once more, it says that there is nothing to do.
     place.finish(&[TRAIN]).with_code(0).saying(&["finished"]);
 }
 

@@ -26,7 +26,7 @@ pub(crate) const PEER_LOST: i32 = 3;
 pub(crate) const PATIENCE: Duration = Duration::from_mins(1);
 /// The longest wait for one message, and what tells a promise of seconds from a wait in vain on a busy machine.
 pub(crate) const SOON: Duration = Duration::from_secs(20);
-/// Who is asked to end and does not is ended after 4.4 seconds: what ends sooner has done so by itself.
+/// A process that is asked to end and does not is ended after 4.4 seconds: what ends sooner has done so by itself.
 pub(crate) const BEFORE_DEADLINE: Duration = Duration::from_secs(4);
 /// Pause between two looks at a condition.
 const LOOK_EVERY: Duration = Duration::from_millis(10);

@@ -165,7 +165,7 @@ fn facts_and_words_are_checked_against_each_other() {
     let file = with("text = \"Moon up, climb.\"\nfacts = [\"moon_up\"]");
     let says = "\"Moon up, climb.\" presupposes `moon_up`, which the domain does not tell; it tells zone_near,";
     taxonomy(&place, &["validate", &file]).with_code(WRONG_INPUT).saying(&[says]);
-    // Who would speak in them says so too, instead of never saying that sentence.
+    // A command that would speak in them says so too, instead of never saying that sentence.
     for command in ["serve --describe", "eval --transcript"] {
         let refused = place.finish(&[command, &policy(), "--words", &file]);
         refused.with_code(WRONG_INPUT).saying(&[says]);

@@ -456,7 +456,7 @@ fn a_robot_is_spoken_to_under_its_own_name_only_directly_and_behind_a_router() {
         assert!(session["events"].as_u64() > Some(0), "{session}");
         let robot = place.finish(&[&recorded[..6], &["other.mcap --tls pki/car-1"]].concat());
         robot.with_code(2).saying(&["is for role robot; this command needs one for role recorder"]);
-        // Another name is refused before anything is asked, and nothing is answered to who asks all the same.
+        // Another name is refused before anything is asked, and nobody who asks all the same gets an answer.
         let as_another = format!("--tls pki/car-1 --client car-2 --service {service}");
         let told = ["--client car-2: the certificate is for `car-1`", "under its own name only"];
         drive(&there, &as_another).with_code(2).saying(&told);

@@ -30,7 +30,7 @@ const CLOCK_SKEW: Duration = Duration::from_mins(5);
 /// In the keys of a notifier it stands beside the names of clients, and can be none of them.
 const NO_ROBOT: &str = "alive";
 
-/// The file that is written when certificates were renewed, after the last of them: who has to read new ones watches this.
+/// The file that is written when certificates were renewed, after the last of them: processes that have to read new ones watch this.
 const STAMP: &str = "renewed";
 
 /// What a damaged file of serial numbers holds, and what helps.
@@ -137,7 +137,7 @@ impl Authority {
 
     /// Makes key and certificate of a process.
     ///
-    /// `hosts` are the names and addresses under which it is dialled; who only dials others needs none. The certificate ends
+    /// `hosts` are the names and addresses under which it is dialled; a process that only dials others needs none. The certificate ends
     /// after `lifetime`, or with the authority.
     ///
     /// # Errors

@@ -53,7 +53,7 @@ pub enum Error {
     Twice(String),
     /// Not a request for a certificate.
     #[error(
-        "`{0}` does not say whose certificate: write ROLE:NAME, or ROLE:NAME@HOST for who is dialled"
+        "`{0}` does not say whose certificate: write ROLE:NAME, or ROLE:NAME@HOST for a process that is dialled"
     )]
     Request(String),
     /// This word is not a role.

@@ -12,7 +12,7 @@ pub struct IssueRequest {
     pub role: Role,
     /// The name of its process.
     pub name: PeerName,
-    /// The names and addresses under which it is dialled; who only dials others needs none.
+    /// The names and addresses under which it is dialled; a process that only dials others needs none.
     pub hosts: Vec<String>,
 }
 

@@ -2,11 +2,11 @@
 //!
 //! ```text
 //! share of a sender   `rollouts_per_actor` places, and an equal part of half of `max_queued_bytes`
-//! common pool         the other half: who needs more bytes than its share takes them from here
+//! common pool         the other half: a sender that needs more bytes than its share takes them from here
 //! ```
 //!
 //! A sender within its share always finds room, whatever the others do: their excess is bounded by the pool, and nobody
-//! can use another's share. Who finds no room is the one that wanted more than its share, so the refusal is its own.
+//! can use another's share. A sender that finds no room is the one that wanted more than its share, so the refusal is its own.
 //! The window is chosen so that an honest sender stays within its places; a stalled learner may still cost it bytes of
 //! the pool, so having no room ([`RefusalCause::Overflow`]) is no offence: it is counted, and what was refused is sent
 //! again.

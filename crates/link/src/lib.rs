@@ -20,8 +20,8 @@
 //! * Nothing relies on the network's congestion control as flow control; the credit window does that.
 //! * Topology is a star, dialled one way: actors and observers are clients of the learner or of a router.
 //! * A session with a certificate listens and dials by TLS alone (and on unix sockets, whose files guard them), and never falls back.
-//! * A learner that listens passes the rollouts of its run on to nobody, unless a list lets somebody read them: who reads
-//!   everything and stands still holds up no rollout.
+//! * A learner that listens passes the rollouts of its run on to nobody, unless a list lets somebody read them: a reader
+//!   of everything that stands still holds up no rollout.
 //! * A message between learner and actors proves which start it comes from, with or without certificates: nobody is
 //!   charged, credited or ordered about in the name of another.
 //! * A connection that leads nowhere is replaced by actors, observers and recorders, and by learners that only connect to a router; the

@@ -200,7 +200,7 @@ impl Keyring {
     ///
     /// # Errors
     ///
-    /// [`RefusalCause::Proof`], without a sender: who sent it is what is not known.
+    /// [`RefusalCause::Proof`], without a sender: it is not known who sent it.
     pub(crate) fn check<'a>(
         &self,
         header: &Header,
@@ -216,7 +216,7 @@ impl Keyring {
         if key.tag(header, body) != *made {
             return Err(refused());
         }
-        // Only now: who proves nothing takes nobody's place.
+        // Only now: a peer that proves nothing takes nobody's place.
         if known.is_none() {
             lock(&self.peers).keep(Arc::clone(&key));
         }

@@ -94,7 +94,7 @@ impl RouterLink {
 }
 
 /// Returns what this end of a connection has in common with the address that accepted it: the protocol, with a socket's path or else
-/// the port. Who dials has a port, or a path, of its own.
+/// the port. A peer that dials has a port, or a path, of its own.
 fn door(locator: &str) -> (&str, &str) {
     let (protocol, rest) = locator.split_once('/').unwrap_or((locator, ""));
     let address = rest.split(['?', '#']).next().unwrap_or_default();

@@ -33,7 +33,7 @@ static ALONE: Mutex<()> = Mutex::const_new(());
 const PER_ACTOR: usize = 4;
 const FLOOD: u64 = 3_000;
 
-/// Waits for one thing that nobody may hold up. Who waits for a connection that does not read waits for five seconds,
+/// Waits for one thing that nobody may hold up. Waiting for a connection that does not read takes five seconds,
 /// until it is given up; all of a test may take longer than that on a busy machine.
 async fn promptly<T>(it: impl Future<Output = T>) -> T {
     let started = Instant::now();
@@ -76,7 +76,7 @@ async fn a_flood_to_a_stalled_learner_is_bounded_and_holds_up_nobody() {
         honest.publish_rollout(&header, payload).unwrap();
     }
 
-    // All of the flood has been looked at; what was not taken is counted, and on the account of who sent it.
+    // All of the flood has been looked at; what was not taken is counted, and on its sender's account.
     let mut n_refused = 0;
     let counted = async {
         while n_refused < FLOOD - PER_ACTOR as u64 {

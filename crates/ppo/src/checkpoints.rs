@@ -1,6 +1,6 @@
 //! What is to be saved of a run: how often, which checkpoints stay, and how large one may be.
 //!
-//! These are settings and bounds, which a configuration is checked with. Who writes the files is the learner.
+//! These are settings and bounds, which a configuration is checked with. The learner writes the files.
 
 use std::time::Duration;
 

@@ -95,7 +95,7 @@ pub fn watch(who: Watch, end_now: fn()) -> io::Result<CancellationToken> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut hangup = end_of_terminal()?;
-    // Who listens is not ended by it: a limit on files (`ulimit -f`) is an error of the write, as a full disk is. The handler stays.
+    // A process that listens for it is not ended by it: a limit on files (`ulimit -f`) is an error of the write, as a full disk is. The handler stays.
     drop(signal(SignalKind::from_raw(FILE_TOO_LARGE))?);
     let cancel = token.clone();
     tokio::spawn(async move {

@@ -75,7 +75,7 @@ fn describe(path: &Path, summary: &TraceSummary) -> String {
     let (shown, lasted) = (path.display(), duration(summary.duration));
     let head = format!("\nTrace: {shown} has {lasted}; open it at https://ui.perfetto.dev");
     let full = summary.is_full.then(|| "  It is full: what came later is not in it.".to_owned());
-    // Who learns first: what it waits for is what the others are to be asked about.
+    // The learner first: what it waits for is what the others are to be asked about.
     let tracks = summary.roles.iter().rev().flat_map(|role| {
         let RoleSummary { role, n_processes, tracks } = role;
         let who = if *n_processes == 1 { role.clone() } else { counted(n_processes, role) };

@@ -186,7 +186,7 @@ impl<W: Write> LiveRecorder<W> {
     }
 
     /// Lists the clients whose session has to be asked for now, in nanoseconds since 1970, but for those that are being asked for,
-    /// `n` at most: who has waited longest is the first, and nobody is asked for twice within a second.
+    /// `n` at most: the one that has waited longest is the first, and nobody is asked for twice within a second.
     pub fn next_to_ask(
         &mut self,
         now: u64,

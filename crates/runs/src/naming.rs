@@ -81,8 +81,8 @@ impl Drop for Reservation {
 /// Refuses the `config.toml` of a run that leads to another directory than the one it lies in.
 ///
 /// So it is after a run was moved, copied or renamed, and where a command is given in another folder than the run's first
-/// one: another run would go on, or begin anew under the old name. Who says which other name it is to have (`is_named`) means
-/// what they say.
+/// one: another run would go on, or begin anew under the old name. Somebody who says which other name it is to have (`is_named`)
+/// means it.
 ///
 /// # Errors
 ///

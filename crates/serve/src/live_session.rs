@@ -450,7 +450,7 @@ impl LiveSession {
         let is_stepped = self.plan.clock == StepClock::Observation;
         // A simulator's time is its own affair.
         let delay = if is_stepped { 0 } else { self.travel.delay(at, head.t) };
-        // Who was restored waits as one who was lost: the past ages all the same.
+        // A restored session waits as a lost one does: the past ages all the same.
         let is_quiet = matches!(self.state, LiveState::Lost | LiveState::Waiting);
         let lost_for = if is_quiet { now.saturating_sub(self.since) } else { 0 };
         let is_new = !self.is_begun || head.episode != self.episode || lost_for > KEPT;

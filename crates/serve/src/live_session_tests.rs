@@ -544,7 +544,7 @@ fn a_restarted_notifier_goes_on_with_the_same_decisions() {
     late.seq = bench.seq;
     late.observe();
     assert_eq!((late.told.says[0].1.step, late.session.last_seq()), (0, bench.seq + 1));
-    // Who comes back long after the restart finds nothing of the past either.
+    // A client that comes back long after the restart finds nothing of the past either.
     let mut slow = Bench::open(true, &question);
     assert!(slow.session.restore(bench.session.snapshot()));
     slow.seq = bench.seq;

@@ -247,7 +247,7 @@ impl LiveService {
     fn take(&mut self, event: LiveEvent) {
         match event {
             LiveEvent::Open { client, question, responder } => {
-                // Who asks because the session has ended asks for another one.
+                // A client that asks because its session has ended asks for another one.
                 while let Ok(report) = self.reports.try_recv() {
                     self.note(report);
                 }

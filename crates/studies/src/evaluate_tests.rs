@@ -157,7 +157,7 @@ fn a_drive_is_measured_up_to_its_arrival() {
     let asked = StudyRequest { seeds: Some(7..8), episodes: 8, ..request(runs.path()) };
     let (part, _) = evaluated_text(DRIVE, &asked);
     let mean = |name| part.rows[0].results[0].summary.get(name).unwrap().interval.unwrap().estimate;
-    // Who has arrived would stand there until step 200.
+    // A driver who has arrived would stand there until step 200.
     assert!(mean("arrived") > 0.2 && mean("length") < 115.0, "{part:?}");
 }
 

@@ -214,7 +214,7 @@ impl EventHub {
         Ok(events)
     }
 
-    /// Sends an event to everyone who wants it; who does not keep up is cut off.
+    /// Sends an event to everyone who wants it; a reader that does not keep up is cut off.
     pub(crate) fn send(&mut self, kind: EventKind, id: Option<&str>, data: &str, now: Instant) {
         if !self.clients.iter().any(|client| client.wanted.has(kind)) {
             return;

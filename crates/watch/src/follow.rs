@@ -77,7 +77,7 @@ impl Attachment {
         while let Ok(Some(event)) = tokio::time::timeout_at(deadline, self.events.recv()).await {
             take_in(page, event);
         }
-        // Last, so that its curves have no gaps. Who has heard that the learner ended shows how.
+        // Last, so that its curves have no gaps. A page that has heard that the learner ended shows how.
         if !page.with(|view, now| view.is_over(now)) {
             let history = ask_history(&self.link, &self.run).await.map_err(gone)?;
             page.with(|view, now| view.history(&history, now));

@@ -208,7 +208,7 @@ fn a_restart_is_marked_where_the_learner_went_on() {
     // It is asked once more.
     view.about(resumed.clone(), 1046.0);
     assert_eq!((&view.history_json(0)["marks"], view.generation()), (&marks, 1));
-    // Who comes after it sees the same.
+    // A page that is opened after it shows the same.
     let mut late = RunView::new("r");
     late.about(resumed, 1050.0);
     assert_eq!(late.history_json(0)["marks"][0]["update"], 20);

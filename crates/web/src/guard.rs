@@ -147,7 +147,7 @@ fn host_of(request: &Request) -> Option<Authority> {
 }
 
 /// Returns whether a browser says that a page of another site asks. Where that page wants no answer that it can read, the browser
-/// names no origin. Who follows a link is a visitor and welcome.
+/// names no origin. A visitor who follows a link is welcome.
 fn is_foreign_fetch(headers: &HeaderMap) -> bool {
     let said = |name: &str| headers.get(name).map_or(&b""[..], HeaderValue::as_bytes);
     let is_foreign = [&b"cross-site"[..], b"same-site"].contains(&said("sec-fetch-site"));

@@ -43,7 +43,7 @@ const MAX_HEAD_BYTES: usize = 64 << 10;
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Reads an address: `127.0.0.1:8080`, `[::1]:0`, `localhost:8080`. No name but `localhost` is looked up.
-/// `usual` is the address that is suggested to who wrote none.
+/// `usual` is the address that is suggested where none was written.
 ///
 /// # Errors
 ///

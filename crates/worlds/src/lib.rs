@@ -1,6 +1,6 @@
 //! The built-in worlds, registered: the one place that names them all; and what a world of your own starts from.
 //!
-//! Who acts or learns does not know this crate; they are handed a [`Registry`](leadtime_sims::Registry).
+//! What acts or learns does not know this crate; it is handed a [`Registry`](leadtime_sims::Registry).
 
 mod builtin;
 mod new_crate;

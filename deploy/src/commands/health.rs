@@ -67,7 +67,7 @@ fn ask(address: SocketAddr, path: &str) -> std::io::Result<String> {
     stream.write_all(request.as_bytes())?;
     let mut answer = Vec::new();
     match stream.take(MAX_ANSWER).read_to_end(&mut answer) {
-        // Who has not read everything breaks off the connection: somebody is there, and what they said before counts.
+        // A page that has not read everything breaks off the connection: somebody is there, and what they said before counts.
         Err(error) if error.kind() != ErrorKind::ConnectionReset => Err(error),
         Ok(_) | Err(_) => Ok(String::from_utf8_lossy(&answer).into_owned()),
     }

@@ -170,7 +170,7 @@ impl Coordinator {
             if fault == SnapshotFault::Misleading && is_first && is_repeatable {
                 continue;
             }
-            // Who reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
+            // An actor that reports its own snapshot has a fault, but no bad intentions, and may be the only actor.
             let author = self.give_up_snapshot(env_id, fault);
             if let Some(author) = author.filter(|author| author != key) {
                 let most = authors.entry(author).or_insert((n_doubters, env_id));
@@ -208,7 +208,7 @@ impl Coordinator {
         self.tell(RunEvent::SnapshotLost { env_id });
         let (is_known, recoveries) = match fault {
             SnapshotFault::Unreadable => (true, vec![self.queue.recover(env_id)]),
-            // Whose state misleads cannot be told where somebody else went on with the episode.
+            // It cannot be told whose state misleads where somebody else went on with the episode.
             SnapshotFault::Misleading => {
                 (!self.queue.is_passed_on(env_id), self.queue.recover_inherited(env_id))
             }
@@ -236,7 +236,7 @@ impl Coordinator {
         // In `async` another policy acts, so the same state may show what is wrong with it later, at the end of its episode at the latest.
         let is_repeatable = self.settings.spec.schedule.is_deterministic();
         let shows_all = is_repeatable || !rollout.ends.is_empty();
-        // Who has made up a state could wait until somebody is refused for it, and send what looks sound.
+        // An actor that has made up a state could wait until somebody is refused for it, and send what looks sound.
         let is_impartial = self.queue.is_impartial(rollout.env_id, &key.0);
         for (actor, refusals) in self.queue.accept(key.clone(), rollout) {
             let is_own = actor == key.0;

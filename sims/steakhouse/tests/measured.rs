@@ -167,7 +167,7 @@ fn stations_in_somebody_elses_use_cost_steps_only_where_the_others_are_far() {
         ]
     };
     let [silent, informed] = cost("wings");
-    // Measured: 3.8 steps, and 0.2 for who is informed at the start; there is no other program to compare with.
+    // Measured: 3.8 steps, and 0.2 for a cook who is informed at the start; there is no other program to compare with.
     assert!(silent > 2.5 && informed < 0.6 * silent, "{silent} {informed}");
     let [silent, _] = cost("ring");
     assert!(silent < 1.0, "{silent}");

@@ -202,7 +202,7 @@ async fn nothing_under_another_name_passes(guarded: &Guarded) {
     // Rollouts and metrics.
     put(&forger, Key::Rollouts(&one, &domain, &a9), &header, &payload).await;
     put(&forger, Key::Rollouts(&one, &domain, &a8), &header, &payload).await;
-    // It reaches the learner, which takes none of who has not said hello.
+    // It reaches the learner, which takes none from a peer that has not said hello.
     let refused = until(events, |event| match event {
         LearnerEvent::Refused { actor, refusal, .. } => Some((actor, refusal.cause)),
         _ => None,
@@ -318,7 +318,7 @@ async fn weights_and_news_are_the_learners(guarded: &Guarded) {
     };
     let _news = reader.declare_subscriber(news().to_string()).callback(tell).await.unwrap();
 
-    // Who has a learner's certificate is heard, so a forgery would be heard as well.
+    // A peer with a learner's certificate is heard, so a forgery would be heard as well.
     let allowed = guarded.raw("l1").await;
     serve_its_name(&allowed, "l1").await;
     let is_heard = async |word: &str| {

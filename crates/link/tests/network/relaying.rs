@@ -34,7 +34,7 @@ async fn joins(
 #[tokio::test(flavor = "multi_thread")]
 async fn a_reader_of_everything_is_sent_no_rollouts() {
     let unix = Site::new();
-    // The library makes other subjects of who comes by TCP.
+    // To the library's rules a peer that comes by TCP is another subject.
     for listen in [unix.listen(), ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()])] {
         reader_is_sent_no_rollouts(&listen).await;
     }

@@ -39,7 +39,7 @@ async fn weights_are_announced_with_their_digest_and_pulled() {
     assert!(error.to_string().contains("versions 3 to 6 are"), "{error}");
     assert_eq!(pull(&actor, &learner, 6).await.unwrap(), vec![6; 70_000]);
 
-    // Who joins late hears of them by the repetition.
+    // An actor that joins late hears of them by the repetition.
     let (late, late_events) = site.welcomed("late", &events).await;
     announced(&late_events, 6).await;
     assert_eq!(pull(&late, &learner, 6).await.unwrap(), vec![6; 70_000]);

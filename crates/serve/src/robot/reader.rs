@@ -254,7 +254,7 @@ mod tests {
         let told = arrive(20, 1 << 60, 0.3).unwrap_err();
         assert!(told.starts_with("`seq` leaps to 1152921504606846976"), "{told}");
         assert_eq!(arrive(50, 5, 0.35), Ok((5, 0.35, false)));
-        // Who counts there from now on is heard after a silence.
+        // A source that counts there from now on is heard after a silence.
         assert_eq!(arrive(1_200, 1 << 60, 0.4), Ok((6, 0.35, true)));
         assert_eq!(arrive(1_250, (1 << 60) + 1, 0.45), Ok((7, 0.4, false)));
     }
@@ -269,7 +269,7 @@ mod tests {
             "{told}"
         );
         assert_eq!(bench.ros(40, OLD, 6, 40), Ok((2, 0.04, false)));
-        // Who counts there from now on is heard after a silence.
+        // A source that counts there from now on is heard after a silence.
         assert_eq!(bench.ros(1_200, OLD, i64::MAX - 1, 1_200), Ok((3, 0.04, true)));
         assert_eq!(bench.ros(1_220, OLD, i64::MAX, 1_220), Ok((4, 0.06, false)));
     }

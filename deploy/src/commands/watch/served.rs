@@ -50,7 +50,7 @@ impl PageServer {
         let server = server.blame(ExitCode::WrongInput)?;
         if !server.is_local() {
             tracing::warn!(
-                "the page is served as plain HTTP: who can read the network can read it, and its token"
+                "the page is served as plain HTTP: anyone who can read the network can read it, and its token"
             );
         }
         Ok(Self { server, token })

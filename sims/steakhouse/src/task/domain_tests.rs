@@ -300,7 +300,7 @@ fn the_scripted_notifier_informs_at_the_start_and_directs_who_errs() {
     task.advance(None);
     assert_eq!(task.heuristic(), None, "what was said is given time");
     go_on(&mut task, words - 1);
-    // Nothing came of it, and the cook still goes for meat; who knows would go to a board or sink.
+    // Nothing came of it, and the cook still goes for meat; one who knows would go to a board or sink.
     let said = task.heuristic().unwrap();
     assert!(said.topic != INFORM && (said.comprehension, said.conveyance) == (2, 5), "{said:?}");
     task.deliver(message(INFORM, words, words));
