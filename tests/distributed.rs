@@ -204,8 +204,10 @@ impl ProgressSink for Witness {
         self.events.lock().unwrap().push(event.clone());
     }
 
-    fn on_policies(&mut self, last: &RatedPolicy, _best: &RatedPolicy) {
+    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy, all: &[HeldOutMeans]) {
         Parameters::from_safetensors(&last.weights, &self.policy).unwrap();
+        let evaluations = [last, best].into_iter().filter_map(|policy| policy.held_out);
+        evaluations.for_each(|it| assert!(all.contains(&it), "{it:?} is not among {all:?}"));
     }
 
     fn on_held_out(&mut self, _history: &[HeldOutMeans]) {}

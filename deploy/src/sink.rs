@@ -155,8 +155,8 @@ impl ProgressSink for RunSink {
         }
     }
 
-    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy) {
-        let written = self.recorder.policies(last, best);
+    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy, held_out: &[HeldOutMeans]) {
+        let written = self.recorder.policies(last, best, held_out);
         self.warn(written);
     }
 

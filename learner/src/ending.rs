@@ -14,7 +14,7 @@ use crate::resume::{ResumePoint, TrainingRecord};
 use crate::{Error, LearnerConfig};
 
 /// Ends a run whose updates were all made before: evaluates the policies that still wait for it, and hands the newest and the
-/// best one on once more, because their files may have been lost since.
+/// best one and all evaluations on once more, because their files may have been lost since.
 pub(crate) async fn already_trained(
     config: &LearnerConfig,
     mut point: ResumePoint,
@@ -33,7 +33,8 @@ pub(crate) async fn already_trained(
         }
     }
     last.held_out = point.record.held_out.of(version);
-    sink.on_policies(&last, best(&point.record, evaluations.as_ref(), &last));
+    let best = best(&point.record, evaluations.as_ref(), &last);
+    sink.on_policies(&last, best, point.record.held_out.history());
     let CoordinatorStart { books, builds, .. } = point.start;
     report(config, end, last, evaluations.as_ref(), point.record, books, builds)
 }

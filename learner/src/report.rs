@@ -324,8 +324,8 @@ pub trait ProgressSink: Send {
     fn on_event(&mut self, event: &RunEvent);
 
     /// Takes in the newest and the best policy, whenever a checkpoint is written; the newest is the best one as long as none
-    /// was evaluated.
-    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy);
+    /// was evaluated. With them come all evaluations so far, the oldest first: the disk may have been full when they were made.
+    fn on_policies(&mut self, last: &RatedPolicy, best: &RatedPolicy, held_out: &[HeldOutMeans]);
 
     /// Takes in every evaluation on held-out episodes so far, the oldest first, whenever there is one more.
     fn on_held_out(&mut self, history: &[HeldOutMeans]);

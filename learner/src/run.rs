@@ -557,7 +557,7 @@ impl RunLoop {
         // After the checkpoint: no policy file is newer than what a resume goes on from.
         let last = self.last();
         let best = ending::best(&self.record, self.evaluations.as_ref(), &last);
-        self.sink.on_policies(&last, best);
+        self.sink.on_policies(&last, best, self.record.held_out.history());
         self.sink.on_event(&RunEvent::CheckpointWritten { path, n_updates });
         Ok(())
     }
@@ -759,7 +759,7 @@ mod tests {
             self.heard.lock().unwrap().push(event.clone());
         }
 
-        fn on_policies(&mut self, _last: &RatedPolicy, _best: &RatedPolicy) {}
+        fn on_policies(&mut self, _: &RatedPolicy, _: &RatedPolicy, _: &[HeldOutMeans]) {}
 
         fn on_held_out(&mut self, _history: &[HeldOutMeans]) {}
     }

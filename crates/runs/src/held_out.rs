@@ -4,8 +4,8 @@
 //! {"update": 98, "steps": 200704, "held_out/success": 0.61, "held_out/return": 104.2, ...}
 //! ```
 //!
-//! A line per evaluation while the run trains, the oldest first. The file is replaced whole at every evaluation, and holds
-//! nothing that depends on time.
+//! A line per evaluation while the run trains, the oldest first. The file is replaced whole at every evaluation, and at a checkpoint
+//! if it lacks one. It holds nothing that depends on time.
 
 use std::error::Error;
 use std::io;
@@ -135,7 +135,7 @@ pub(crate) fn scalars(means: &HeldOutMeans) -> Vec<(String, f64)> {
     all.into_iter().filter_map(|(name, value)| Some((name.to_owned(), value?))).collect()
 }
 
-/// Writes all evaluations of a run, in place of those before.
+/// Writes all evaluations of a run, in place of those before; without any, or where they are there, nothing is done.
 pub(crate) fn write(
     directory: &Path,
     history: &[HeldOutMeans],
@@ -149,8 +149,11 @@ pub(crate) fn write(
         line.extend(scalars(means).into_iter().map(|(key, value)| (key, value.into())));
         format!("{}\n", Value::from(line))
     };
-    let text: String = history.iter().map(line).collect();
-    write_atomically(&directory.join(HELD_OUT), text.as_bytes())
+    let (text, path) = (history.iter().map(line).collect::<String>(), directory.join(HELD_OUT));
+    if history.is_empty() || regular::read(&path).is_ok_and(|there| there == text.as_bytes()) {
+        return Ok(());
+    }
+    write_atomically(&path, text.as_bytes())
 }
 
 /// Reads a run's evaluations on held-out episodes; none where there are none.

@@ -127,15 +127,21 @@ impl RunRecorder {
         history::archive(&self.about, &self.directory)
     }
 
-    /// Writes the newest and the best policy.
+    /// Writes the newest and the best policy, and what is missing in the file of the evaluations.
     ///
     /// # Errors
     ///
     /// If a file cannot be written.
-    pub fn policies(&mut self, last: &RatedPolicy, best: &RatedPolicy) -> io::Result<()> {
+    pub fn policies(
+        &mut self,
+        last: &RatedPolicy,
+        best: &RatedPolicy,
+        history: &[HeldOutMeans],
+    ) -> io::Result<()> {
         self.keep_directory()?;
         self.write_policy(LAST_POLICY, last)?;
-        self.write_policy(BEST_POLICY, best)
+        self.write_policy(BEST_POLICY, best)?;
+        held_out::write(&self.directory, history, self.steps_per_update)
     }
 
     /// Writes every evaluation on held-out episodes so far, and the newest one to the event file.
@@ -225,4 +231,40 @@ fn line(progress: &UpdateProgress, scalars: &[(String, f64)]) -> Value {
         line[name] = (*value).into();
     }
     line
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use leadtime_proto::PolicyVersion;
+
+    use super::*;
+    use crate::held_out::HELD_OUT;
+    use crate::test_support::config;
+
+    #[test]
+    fn evaluations_that_could_not_be_written_are_written_with_the_next_policies() {
+        let runs = tempfile::tempdir().unwrap();
+        let config = config(runs.path(), "cartpole", "r", &[]);
+        let (run, _) = RunDir::open(&config, None, &crate::ProgramBuild::default()).unwrap();
+        let mut recorder = RunRecorder::open(&run.path, &config, "r").unwrap();
+        let version = PolicyVersion(5);
+        let (n_episodes, error) = (20, 0.5);
+        let (episode_return, length) = (2.5, 3.0);
+        let means =
+            HeldOutMeans { version, n_episodes, success: None, episode_return, length, error };
+        let weights = Parameters::initialize(&config.policy, 1).unwrap();
+        let weights = weights.to_safetensors(&BTreeMap::new()).unwrap().into();
+        let policy = RatedPolicy { version, score: None, held_out: Some(means), weights };
+        let table = run.path.join(HELD_OUT);
+        recorder.policies(&policy, &policy, &[]).unwrap();
+        assert!(!table.exists(), "nothing was evaluated");
+        fs::create_dir(&table).unwrap();
+        recorder.held_out(&[means]).unwrap_err();
+        fs::remove_dir(&table).unwrap();
+        recorder.policies(&policy, &policy, &[means]).unwrap();
+        assert_eq!(held_out::read(&run.path)[0]["update"], 5);
+        assert!(held_out::of_best(&run.path).is_some());
+    }
 }
