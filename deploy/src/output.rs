@@ -15,7 +15,7 @@ use std::sync::OnceLock;
 
 use anyhow::Context as _;
 use leadtime_proto::text::{escaped, own_message};
-use leadtime_runs::{PartialFile, command_line, journal, program_name};
+use leadtime_runs::{PartialFile, command_line, layout, program_name};
 pub(crate) use leadtime_table::WIDTH;
 use serde::Serialize;
 
@@ -223,7 +223,7 @@ pub(crate) fn next(policy: &Path, hints: &[Hint]) {
 
 /// Says how a run goes on that was stopped: `command` is `up` or `learner`, with options of its own.
 pub(crate) fn next_resumes(command: &str, run: &Path, name: &str, options: &[OsString]) {
-    let (n_updates, config) = (journal::last_update(run), run.join("config.toml"));
+    let (n_updates, config) = (layout::n_saved(run).unwrap_or(0), run.join("config.toml"));
     let mut args = vec![command.into(), "-c".into(), config.into(), "--name".into(), name.into()];
     // A configuration is text, and cannot say in which directory this one lies.
     if let Some(runs) = run.parent().filter(|runs| runs.to_str().is_none()) {

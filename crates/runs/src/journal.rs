@@ -7,6 +7,7 @@
 //! A learner that takes a run up again drops the lines of updates that were lost with its predecessor, all of them if
 //! there was no checkpoint yet; they are made and written again.
 
+use std::fmt;
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead as _, BufReader, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
@@ -36,22 +37,24 @@ impl Journal {
         Ok(Self { path, file, is_torn: false })
     }
 
-    /// Drops every line about an update after `n_updates`, and what is no whole line. A journal may be larger than the memory:
-    /// it is read line by line.
-    pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
-        let mut is_as_it_was = true;
-        self.for_lines_until(n_updates, &mut |line, is_kept| {
+    /// Drops every line about an update after `n_updates`, and what is no whole line. Returns the updates until then that have no
+    /// line, if there are some. A journal may be larger than the memory: it is read line by line.
+    pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<Option<MissingUpdates>> {
+        let (mut is_as_it_was, mut found) = (true, FoundUpdates::default());
+        self.for_lines_until(n_updates, &mut |line, kept| {
             // Of the last line only its end may be missing.
-            is_as_it_was &= is_kept && line.ends_with(b"\n");
+            is_as_it_was &= kept.is_some() && line.ends_with(b"\n");
+            kept.into_iter().for_each(|update| found.take_in(update));
             Ok(())
         })?;
+        found.take_in(n_updates.saturating_add(1));
         if is_as_it_was {
             // Another file in its place would be taken for a rewind by those who follow it.
-            return Ok(());
+            return Ok(found.missing);
         }
         let mut kept = io::BufWriter::new(PartialFile::create(&self.path)?);
-        self.for_lines_until(n_updates, &mut |line, is_kept| {
-            if !is_kept {
+        self.for_lines_until(n_updates, &mut |line, update| {
+            if update.is_none() {
                 return Ok(());
             }
             kept.write_all(line)?;
@@ -59,19 +62,19 @@ impl Journal {
         })?;
         kept.into_inner().map_err(io::IntoInnerError::into_error)?.place()?;
         (self.file, self.is_torn) = (OpenOptions::new().append(true).open(&self.path)?, false);
-        Ok(())
+        Ok(found.missing)
     }
 
-    /// Goes through the journal, and tells of every line whether it belongs to the first `n_updates` updates.
+    /// Goes through the journal, and tells of every line to which of the first `n_updates` updates it belongs, if to one of them.
     fn for_lines_until(
         &self,
         n_updates: u64,
-        take: &mut dyn FnMut(&[u8], bool) -> io::Result<()>,
+        take: &mut dyn FnMut(&[u8], Option<u64>) -> io::Result<()>,
     ) -> io::Result<()> {
         lines(&self.path, |line| {
             let parsed = serde_json::from_slice::<Value>(line).ok();
             let update = parsed.and_then(|line| line["update"].as_u64());
-            take(line, update.is_some_and(|update| update <= n_updates))
+            take(line, update.filter(|&update| update <= n_updates))
         })
     }
 
@@ -82,6 +85,43 @@ impl Journal {
         let written = self.file.write_all(format!("{end_before}{line}\n").as_bytes());
         self.is_torn = written.is_err();
         written
+    }
+}
+
+/// Updates of which a journal has no line: a full disk, or damage, has taken them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct MissingUpdates {
+    first: u64,
+    last: u64,
+    n: u64,
+}
+
+impl fmt::Display for MissingUpdates {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, last, n } = self;
+        match n {
+            1 => write!(f, "update {first}"),
+            n if *n == last - first + 1 => write!(f, "updates {first} to {last}"),
+            n => write!(f, "{n} of the updates {first} to {last}"),
+        }
+    }
+}
+
+/// Follows the lines of a journal, and finds what is missing between them.
+#[derive(Debug, Default)]
+struct FoundUpdates {
+    last: u64,
+    missing: Option<MissingUpdates>,
+}
+
+impl FoundUpdates {
+    fn take_in(&mut self, update: u64) {
+        let (first, last) = (self.last + 1, update.saturating_sub(1));
+        if first <= last {
+            let missing = self.missing.get_or_insert(MissingUpdates { first, last, n: 0 });
+            (missing.last, missing.n) = (last, missing.n + (last - first + 1));
+        }
+        self.last = self.last.max(update);
     }
 }
 
@@ -126,16 +166,6 @@ fn lines(path: &Path, mut take: impl FnMut(&[u8]) -> io::Result<()>) -> io::Resu
 /// The longest end of a journal that is read to find its last line, in bytes.
 const TAIL: u64 = 16_384;
 
-/// Returns the steps of a run's last update; 0 before the first.
-pub fn last_steps(run_directory: &Path) -> u64 {
-    last(run_directory, "steps").unwrap_or(0)
-}
-
-/// Returns the number of a run's last update; 0 before the first.
-pub fn last_update(run_directory: &Path) -> u64 {
-    last(run_directory, "update").unwrap_or(0)
-}
-
 /// Returns a number of a run's last line; 0 if there is none.
 ///
 /// # Errors
@@ -174,14 +204,14 @@ mod tests {
     fn the_last_whole_line_tells_how_far_a_run_is_and_a_rewound_journal_has_no_gap_and_no_repetition()
      {
         let dir = tempfile::tempdir().unwrap();
-        assert_eq!(last_steps(dir.path()), 0);
+        assert_eq!(last(dir.path(), "steps").unwrap(), 0);
         let mut journal = Journal::open(dir.path()).unwrap();
         let append = |journal: &mut Journal, update: u64| {
             journal.append(&json!({"update": update, "steps": update * 128})).unwrap();
         };
         (1..=600).for_each(|update| append(&mut journal, update));
         journal.file.write_all(b"{\"update\": 601, \"ste").unwrap();
-        assert_eq!(last_steps(dir.path()), 600 * 128);
+        assert_eq!(last(dir.path(), "steps").unwrap(), 600 * 128);
         // A power cut may leave bytes that are no text at all.
         journal.file.write_all(b"\xff\xfe\0\n").unwrap();
         assert_eq!(read(dir.path()).unwrap().len(), 600);
@@ -215,11 +245,33 @@ mod tests {
     }
 
     #[test]
+    fn a_rewind_tells_of_which_updates_the_journal_has_no_line() {
+        let missing = |updates: &[u64], n_updates: u64| {
+            let dir = tempfile::tempdir().unwrap();
+            let mut journal = Journal::open(dir.path()).unwrap();
+            for update in updates {
+                journal.append(&json!({"update": update})).unwrap();
+            }
+            journal.file.write_all(b"{\"update\": 9, \"sta").unwrap();
+            let told = [(); 2].map(|()| journal.rewind(n_updates).unwrap());
+            assert_eq!(told[0], told[1], "also where nothing is dropped");
+            told[0].map(|missing| missing.to_string())
+        };
+        assert_eq!(missing(&[], 0), None);
+        assert_eq!(missing(&[1, 2, 3, 4], 3), None);
+        assert_eq!(missing(&[1, 2, 2, 3], 3), None, "written twice");
+        assert_eq!(missing(&[1, 3], 3).unwrap(), "update 2");
+        assert_eq!(missing(&[3, 4, 5], 5).unwrap(), "updates 1 to 2");
+        assert_eq!(missing(&[1, 9], 6).unwrap(), "updates 2 to 6");
+        assert_eq!(missing(&[2, 3], 6).unwrap(), "4 of the updates 1 to 6");
+    }
+
+    #[test]
     fn a_journal_that_leads_nowhere_says_where() {
         let dir = tempfile::tempdir().unwrap();
         std::os::unix::fs::symlink("/nowhere/m", dir.path().join("metrics.jsonl")).unwrap();
         let error = Journal::open(dir.path()).unwrap_err().to_string();
         assert_eq!(error, "metrics.jsonl is a link to /nowhere/m, and nothing is there");
-        assert_eq!(last_update(dir.path()), 0, "to a reader it is not there");
+        assert_eq!(last(dir.path(), "update").unwrap(), 0, "to a reader it is not there");
     }
 }

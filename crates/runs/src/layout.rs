@@ -67,6 +67,39 @@ fn no_run(path: &Path, reason: &str) -> RunDirError {
     RunDirError::Refused(format!("{} is not a run directory: {reason}", path.display()))
 }
 
+/// Returns how many updates a run has made, by all that is known of it. Where the disk was full, its files end at different ones.
+pub fn n_updates(path: &Path) -> u64 {
+    let result = RunRecord::read(path).ok().and_then(|record| record.result);
+    n_updates_with(path, result.as_ref())
+}
+
+/// As [`n_updates`], for who has read the run's record.
+pub(crate) fn n_updates_with(path: &Path, result: Option<&RunResult>) -> u64 {
+    told_updates(path, result).into_iter().filter_map(Result::ok).max().unwrap_or(0)
+}
+
+/// Returns the updates that the newest checkpoint of a run holds, from which it goes on; 0 without one.
+///
+/// # Errors
+///
+/// If the folder of the checkpoints cannot be read.
+pub fn n_saved(path: &Path) -> io::Result<u64> {
+    let number = |file: &PathBuf| file.file_stem()?.to_str()?.parse::<u64>().ok();
+    // One with another name is no reason to take the run for empty.
+    let saved = checkpoints(path)?.iter().map(|file| number(file).unwrap_or(1)).max();
+    Ok(saved.unwrap_or(0))
+}
+
+/// Returns the last update by the checkpoints of a run, by its newest policy, its journal and its result.
+fn told_updates(path: &Path, result: Option<&RunResult>) -> [io::Result<u64>; 4] {
+    [
+        n_saved(path),
+        policy_file::n_updates(&path.join(LAST_POLICY)),
+        journal::last(path, "update"),
+        Ok(result.map_or(0, |result| result.updates)),
+    ]
+}
+
 /// What of a run's training is on the disk.
 pub(crate) struct TrainingTraces {
     pub(crate) n_updates: u64,
@@ -80,23 +113,19 @@ pub(crate) struct TrainingTraces {
 impl TrainingTraces {
     /// Looks for them; what cannot be read is an error, because it is not the same as nothing.
     pub(crate) fn find(path: &Path, record: &RunRecord) -> io::Result<Self> {
-        let checkpoints = checkpoints(path)?;
-        let number = |file: &PathBuf| file.file_stem()?.to_str()?.parse::<u64>().ok();
-        // One with another name is no reason to take the run for empty.
-        let saved = checkpoints.iter().map(|file| number(file).unwrap_or(1)).max().unwrap_or(0);
-        let policy = policy_file::n_updates(&path.join(LAST_POLICY))?;
-        let result = record.result.as_ref().map_or(0, |result| result.updates);
+        let [saved, policy, journal, result] = told_updates(path, record.result.as_ref());
+        let (saved, policy) = (saved?, policy?);
         Ok(Self {
-            n_updates: journal::last(path, "update")?.max(saved).max(policy).max(result),
+            n_updates: saved.max(policy).max(journal?).max(result?),
             n_saved: saved,
-            has_checkpoints: !checkpoints.is_empty(),
+            has_checkpoints: !checkpoints(path)?.is_empty(),
             had_checkpoints: policy > 0 || record.result.is_some(),
         })
     }
 
     /// Rewinds the journal of a run that begins again: the next start must not count the old updates as trained.
     pub(crate) fn forget_lost_updates(&self, path: &Path) -> io::Result<()> {
-        if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0) }
+        if self.has_checkpoints { Ok(()) } else { Journal::open(path)?.rewind(0).map(|_none| ()) }
     }
 
     /// Tells whether the run has lost a policy that its last checkpoint still holds, or its only policy.

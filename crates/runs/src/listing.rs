@@ -10,7 +10,7 @@ use serde_json::Value;
 use leadtime_proto::phrase::with_causes;
 
 use crate::contents::is_run;
-use crate::layout::is_left;
+use crate::layout::{is_left, n_updates_with, read_config};
 use crate::race::RacerRecord;
 use crate::record::RecordError;
 use crate::{ForkOrigin, RunRecord, RunResult, held_out, journal, name_in_place, regular};
@@ -117,8 +117,12 @@ impl ListedRun {
         let last = journal::last_line(path).unwrap_or_default();
         let whole = |key: &str| last.get(key).and_then(Value::as_u64).unwrap_or(0);
         let made = |result: &RunResult| (result.updates, result.steps);
-        let (updates, steps) =
-            record.result.as_ref().map_or((whole("update"), whole("steps")), made);
+        let begun = || {
+            let updates = n_updates_with(path, None);
+            let each = read_config(path).ok().and_then(|config| steps_per_update(&config));
+            (updates, each.map_or(whole("steps"), |each| updates.saturating_mul(each)))
+        };
+        let (updates, steps) = record.result.as_ref().map_or_else(begun, made);
         // The journal of a disk that was full ends before the run does, and its last line is of another policy.
         let is_whole = whole("update") == updates;
         let number = |key: &str| last.get(key).filter(|_| is_whole).and_then(Value::as_f64);
@@ -126,7 +130,7 @@ impl ListedRun {
         let best = held_out::of_best(path).unwrap_or_default();
         let is_stopped = || {
             let record = RacerRecord::read(path).unwrap_or_default();
-            record.is_stopped_at(whole("update"))
+            record.is_stopped_at(updates)
         };
         let state = match &record.result {
             Some(_) => "finished",
@@ -150,6 +154,12 @@ impl ListedRun {
             problem: None,
         }
     }
+}
+
+/// Returns the steps of an update of a run with this configuration.
+fn steps_per_update(config: &toml::Table) -> Option<u64> {
+    let factor = |key| u64::try_from(config.get("learner")?.get(key)?.as_integer()?).ok();
+    factor("n_envs")?.checked_mul(factor("n_steps")?)
 }
 
 /// Describes a run directory; `None` if it is not one.
@@ -177,7 +187,9 @@ mod tests {
     use std::io::{Seek as _, SeekFrom, Write as _};
 
     use super::*;
-    use crate::ProgramBuild;
+    use crate::layout::{n_saved, n_updates};
+    use crate::test_support::config;
+    use crate::{ProgramBuild, RunDir};
 
     #[test]
     fn of_a_journal_that_no_memory_holds_only_the_end_is_read() {
@@ -203,6 +215,32 @@ mod tests {
         assert_eq!((listed.updates, listed.steps, listed.success), (585, 299_520, None));
         record.result = Some(result(97, 49_664));
         assert_eq!(ListedRun::new(run.path(), record).success, Some(0.03));
+    }
+
+    #[test]
+    fn a_run_that_is_not_finished_is_as_far_as_its_newest_file_says() {
+        let runs = tempfile::tempdir().unwrap();
+        let config = config(runs.path(), "cartpole", "r", &[]);
+        let (run, _) = RunDir::open(&config, None, &ProgramBuild::default()).unwrap();
+        let each = config.steps_per_update();
+        let line =
+            format!("{{\"update\": 40, \"steps\": {}, \"episodes/success\": 1}}\n", 40 * each);
+        fs::write(run.path.join("metrics.jsonl"), line).unwrap();
+        let racer = r#"{"is_stopped": true, "quarter": {"updates": 90, "eval_seed": 1, "scores": [], "is_success": true, "episodes": "", "episode_return": 0.0}, "last": null}"#;
+        fs::write(run.path.join("race.json"), racer).unwrap();
+        let listed = || ListedRun::new(&run.path, RunRecord::read(&run.path).unwrap());
+        let found = |listed: ListedRun| (listed.updates, listed.steps, listed.state);
+        assert_eq!(found(listed()), (40, 40 * each, "unfinished"));
+        fs::write(run.checkpoints().join("000000000090.checkpoint"), "state").unwrap();
+        assert_eq!(listed().success, None, "it is another policy's");
+        assert_eq!(found(listed()), (90, 90 * each, "stopped"));
+        assert_eq!((n_updates(&run.path), n_saved(&run.path).unwrap()), (90, 90));
+        // Killed some time after its last checkpoint.
+        fs::write(run.path.join("metrics.jsonl"), "{\"update\": 97}\n").unwrap();
+        assert_eq!((n_updates(&run.path), n_saved(&run.path).unwrap()), (97, 90));
+        fs::remove_dir_all(run.checkpoints()).unwrap();
+        fs::write(run.checkpoints(), "in the way").unwrap();
+        assert_eq!(n_updates(&run.path), 97, "what can be read tells it");
     }
 
     #[test]

@@ -14,7 +14,7 @@ use toml::Table;
 use tracing::warn;
 
 use crate::contents::{CONFIG, TENSORBOARD};
-use crate::journal::Journal;
+use crate::journal::{JOURNAL, Journal};
 use crate::policy_file::{self, BEST_POLICY, LAST_POLICY, VERSION, WEIGHTS_SHA256};
 use crate::tensorboard::EventFile;
 use crate::{RunDir, RunRecord, clock, held_out, history, metrics};
@@ -180,8 +180,12 @@ impl RunRecorder {
     }
 
     fn rewind(&mut self, n_updates: u64) -> io::Result<()> {
-        self.journal.rewind(n_updates)?;
+        let missing = self.journal.rewind(n_updates)?;
         self.is_rewound = true;
+        if let Some(missing) = missing {
+            let journal = self.directory.join(JOURNAL);
+            warn!(journal = %journal.display(), "metrics of {missing} are missing: a full disk or a damaged file has lost them");
+        }
         Ok(())
     }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde_json::{Map, Value};
 
 use crate::journal::JOURNAL;
-use crate::layout::{read_config, read_record};
+use crate::layout::{n_updates_with, read_config, read_record};
 use crate::{RunDirError, RunRecord, held_out, journal, name_in_place};
 
 /// Updates of a quick run, which checks the mechanics only.
@@ -22,8 +22,6 @@ const SUMMED: [&str; 2] = ["system/train_seconds", "system/wait_seconds"];
 /// What a report says of a journal. The whole of it may be larger than the memory of a learner.
 #[derive(Debug, Default)]
 pub(crate) struct JournalSummary {
-    /// Number of the last update.
-    n_updates: u64,
     /// Steps and value of every update, by what is drawn.
     curves: BTreeMap<&'static str, Vec<[f64; 2]>>,
     sums: BTreeMap<&'static str, f64>,
@@ -39,7 +37,6 @@ impl JournalSummary {
     }
 
     fn take_in(&mut self, line: &Map<String, Value>) {
-        self.n_updates = line.get("update").and_then(Value::as_u64).unwrap_or(0);
         for key in DRAWN {
             self.curves.entry(key).or_default().extend(point(line, key));
         }
@@ -82,6 +79,7 @@ pub struct RunFiles {
     /// Evaluations on held-out episodes.
     pub(crate) held_out: Vec<Map<String, Value>>,
     pub(crate) config: toml::Table,
+    n_updates: u64,
 }
 
 impl RunFiles {
@@ -97,7 +95,8 @@ impl RunFiles {
         let journal = JournalSummary::read(&directory).map_err(io)?;
         let held_out = held_out::read(&directory);
         let name = name_in_place(&directory, &record);
-        Ok(Self { directory, name, record, journal, held_out, config })
+        let n_updates = n_updates_with(&directory, record.result.as_ref());
+        Ok(Self { directory, name, record, journal, held_out, config, n_updates })
     }
 
     /// Returns the run's name: its directory's.
@@ -107,7 +106,7 @@ impl RunFiles {
 
     /// Returns how many updates the run has done.
     pub(crate) fn n_updates(&self) -> u64 {
-        self.journal.n_updates
+        self.n_updates
     }
 
     /// Tells whether the run was only to check the mechanics, and did nothing more.

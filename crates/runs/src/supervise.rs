@@ -26,7 +26,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::build::running_program;
 use crate::placement::{Placement, start_on};
-use crate::{journal, regular};
+use crate::{layout, regular};
 
 /// How often a child is restarted without having been healthy in between.
 const RESTARTS: u32 = 5;
@@ -149,7 +149,7 @@ async fn watch(
 /// Restarts the actors that a learner had dismissed before it was killed: its next start may need them, unless all updates
 /// are made. If it finds in its checkpoint that the run has ended before (`evaluation.stop_at`), it ends, and they end with it.
 fn call_back(plan: &ProcessPlan, actors: &mut [ChildHandle]) {
-    if journal::last_update(&plan.run) >= plan.n_updates {
+    if layout::n_updates(&plan.run) >= plan.n_updates {
         return;
     }
     for actor in actors.iter_mut().filter(|actor| actor.health == ChildHealth::Gone(Some(0))) {
@@ -236,7 +236,7 @@ impl ChildHandle {
     fn start(&mut self, run: &Path) -> io::Result<()> {
         // Before the start is tried: a start that fails is no life in which the child could show that it works.
         self.started = Instant::now();
-        self.updates_before = journal::last_update(run);
+        self.updates_before = layout::n_updates(run);
         self.process = Some(self.spawn()?);
         self.start_at = None;
         Ok(())
@@ -313,7 +313,7 @@ impl ChildHandle {
     /// Returns whether its last life shows that it works.
     fn was_healthy(&self, run: &Path) -> bool {
         let lived = self.started.elapsed();
-        let n_updates = || journal::last_update(run).saturating_sub(self.updates_before);
+        let n_updates = || layout::n_updates(run).saturating_sub(self.updates_before);
         lived >= HEALTHY_TIME || (lived >= HEALTHY_LIFE && n_updates() >= HEALTHY_UPDATES)
     }
 

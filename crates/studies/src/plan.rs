@@ -8,8 +8,8 @@ use leadtime_episodes::known_players;
 use leadtime_eval::measure::known_measures;
 use leadtime_numerics::stats::Bootstrap;
 use leadtime_proto::RunName;
-use leadtime_runs::layout::{is_finished, read_config};
-use leadtime_runs::{BEST_POLICY, LAST_POLICY, RunRecord, Tasks, journal};
+use leadtime_runs::layout::{self, is_finished, read_config};
+use leadtime_runs::{BEST_POLICY, LAST_POLICY, RunRecord, Tasks};
 use toml::{Table, Value};
 
 use crate::catalog::NamedStudy;
@@ -441,9 +441,10 @@ impl PlannedTraining {
 
     /// Returns the environment steps that it was trained on so far, and in all.
     pub fn steps(&self) -> [u64; 2] {
-        let all = self.config.learner.n_updates() * self.config.steps_per_update();
-        let done = if self.is_finished() { all } else { journal::last_steps(&self.directory()) };
-        [done.min(all), all]
+        let (n_updates, each) = (self.config.learner.n_updates(), self.config.steps_per_update());
+        let made = || layout::n_updates(&self.directory());
+        let done = if self.is_finished() { n_updates } else { made() };
+        [done.min(n_updates) * each, n_updates * each]
     }
 
     fn is_same(&self, other: &Self) -> bool {

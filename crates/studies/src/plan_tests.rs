@@ -35,6 +35,22 @@ fn a_training_per_row_and_seed_named_by_what_it_computes() {
 }
 
 #[test]
+fn a_training_is_as_far_as_its_newest_file_says() {
+    let runs = tempfile::tempdir().unwrap();
+    let training = plan(STUDY, &request(runs.path())).unwrap().trainings()[0].clone();
+    let checkpoints = training.directory().join("checkpoints");
+    std::fs::create_dir_all(&checkpoints).unwrap();
+    let each = training.config.steps_per_update();
+    assert_eq!(training.steps()[0], 0);
+    // The disk was full before there was room for a checkpoint again.
+    let line = format!("{{\"update\": 1, \"steps\": {each}}}\n");
+    std::fs::write(training.directory().join("metrics.jsonl"), line).unwrap();
+    assert_eq!(training.steps()[0], each);
+    std::fs::write(checkpoints.join("000000000002.checkpoint"), "state").unwrap();
+    assert_eq!(training.steps()[0], 2 * each);
+}
+
+#[test]
 fn a_part_has_seeds_of_its_own_unless_the_command_line_says() {
     let later = STUDY.replace("quick_steps", "first_seed = 301\nquick_steps");
     let seeds = |text: &str, request| plan(text, &request).unwrap().parts[0].seeds().to_vec();
