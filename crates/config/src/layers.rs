@@ -14,12 +14,12 @@ use serde::de::DeserializeOwned;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 use toml::{Spanned, Table, Value};
 
-use leadtime_proto::phrase::did_you_mean;
 use leadtime_proto::text::{escaped, printable, quoted};
 
 use crate::error::{ConfigError, ensure};
 use crate::nesting::{self, Refused};
 use crate::overrides::Override;
+use crate::wording::{kind, worded};
 
 /// Positions of the i-th layer begin at i times this, so that one number says layer and byte.
 const STRIDE: usize = 1 << 40;
@@ -186,7 +186,7 @@ impl<'a> Layers<'a> {
         // A section that is missing is one that the domain needs.
         let domain = self.table.get(DOMAIN).map_or(0..0, Spanned::span);
         T::deserialize(Deserializer::from(Spanned::new(domain, table)))
-            .map_err(|error: Error| self.refuse(error.span(), &shortened(error.message())))
+            .map_err(|error: Error| self.refuse(error.span(), &worded(error.message())))
     }
 
     /// Describes an error at a position of the result, in the layer where it was written.
@@ -213,7 +213,7 @@ pub fn read<T: DeserializeOwned>(
 /// Returns the value of a top-level key, if there is one; refuses what is not text.
 pub(crate) fn word<'t>(table: &'t DeTable<'_>, key: &str) -> Result<Option<&'t str>, ConfigError> {
     let Some(value) = table.get(key).map(Spanned::get_ref) else { return Ok(None) };
-    ensure(value.is_str(), key, value.type_str(), "a name in quotes")?;
+    ensure(value.is_str(), key, kind(value.type_str()), "a name in quotes")?;
     Ok(value.as_str())
 }
 
@@ -235,18 +235,6 @@ fn whole_numbers(below: &DeTable<'_>, above: &DeTable<'_>, found: &mut BTreeMap<
             }
             _ => {}
         }
-    }
-}
-
-/// Asks whether the most similar name was meant, where a message about an unknown one lists all that are known.
-fn shortened(message: &str) -> String {
-    let mut names = message.split('`').skip(1).step_by(2);
-    match (message.starts_with("unknown "), names.next()) {
-        (true, Some(given)) => match did_you_mean(given, names) {
-            meant if meant.is_empty() => message.to_owned(),
-            meant => format!("{}{meant}", message.split(", expected").next().unwrap_or(message)),
-        },
-        _ => message.to_owned(),
     }
 }
 
@@ -309,9 +297,11 @@ fn overlay<'a>(
                 drop(base.insert(key, Spanned::new(span, merged)));
             }
             (Some(DeValue::Table(below)), above) if !is_table && (is_root || above.is_array()) => {
-                let keys = below.keys().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-                let kind = above.type_str();
-                let message = format!("`{name}` is a section, not {kind}; its keys: {keys}");
+                // Not all of them: those that may be left out are not here.
+                let key = below.keys().next();
+                let such = key.map(|key| format!(", such as `{key}`")).unwrap_or_default();
+                let kind = kind(above.type_str());
+                let message = format!("`{name}` is a section, not {kind}: set its keys{such}");
                 return Err((Some(span), message));
             }
             (_, above) => drop(base.insert(key, Spanned::new(span, above))),

@@ -28,6 +28,7 @@ mod layers;
 mod nesting;
 mod overrides;
 mod sections;
+mod wording;
 mod written;
 
 pub use catalog::Catalog;

@@ -89,9 +89,14 @@ impl Override {
         let value = match (value.parse(), DeValue::parse(value)) {
             (Ok(value), _) => value,
             (Err(_), Err(_)) => Value::String(value.to_owned()),
-            (Err(_), Ok(_)) => {
-                let (key, value, most) = (quoted(key), quoted(value), i64::MAX);
-                return Err(format!("`{key}` is {value}; allowed: whole numbers up to {most}"));
+            (Err(_), Ok(read)) => {
+                let whole = format!("whole numbers up to {}", i64::MAX);
+                let allowed = match read.get_ref() {
+                    DeValue::Integer(_) => whole,
+                    DeValue::Float(_) => "numbers up to 1.8e308".to_owned(),
+                    _ => format!("{whole}, and others up to 1.8e308"),
+                };
+                return Err(format!("`{}` is {}; allowed: {allowed}", quoted(key), quoted(value)));
             }
         };
         Ok(Self { option: SET, path, value })
@@ -166,6 +171,14 @@ mod tests {
         for text in ["clip", ".clip=1", "learner..clip=1", "seed=9223372036854775808"] {
             assert!(Override::parse(text).is_err(), "{text}");
         }
+        let allowed = |text: &str| {
+            let told = Override::parse(text).unwrap_err();
+            told.split_once("allowed: ").unwrap().1.to_owned()
+        };
+        assert_eq!(allowed("learner.clip=1e400"), "numbers up to 1.8e308");
+        assert_eq!(allowed("seed=9223372036854775808"), "whole numbers up to 9223372036854775807");
+        let both = "whole numbers up to 9223372036854775807, and others up to 1.8e308";
+        assert_eq!(allowed("policy.hidden=[1e400]"), both);
     }
 
     #[test]

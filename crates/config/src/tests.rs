@@ -316,7 +316,7 @@ fn a_person_needs_to_write_only_what_differs() {
     for (text, part) in [
         ("base = \"paper\"", "`base` is \"paper\"; allowed: cartpole, cue_recall"),
         ("domain = \"moon\"", "`domain` is \"moon\"; allowed: cartpole"),
-        ("base = 3", "`base` is integer; allowed: a name in quotes"),
+        ("base = 3", "`base` is a whole number; allowed: a name in quotes"),
         ("base = \"highway\"\ndomain = \"lander\"", "`domain` is \"lander\"; allowed: \"highway\""),
         ("base = \"notifier\"", "general"),
     ] {
@@ -336,7 +336,7 @@ fn another_choice_replaces_the_old_one() {
     assert_eq!(delay(uniform, &["human.reaction_delay.fixed=3"]), "{ fixed = 3 }");
     assert_eq!(delay("", &["human.reaction_delay={fixed=4}"]), "{ fixed = 4 }");
     assert_eq!(delay("human.reaction_delay = 3", &[]), "{ fixed = 3 }", "a bare number");
-    let negative = "integer `-1`, expected a number of steps";
+    let negative = "whole number `-1`, expected a number of steps";
     refused("", &["human.reaction_delay=-1"], &[negative]);
 }
 
@@ -363,7 +363,10 @@ fn a_wrong_value_is_reported_by_line_or_option_with_what_is_allowed() {
     assert!(text.starts_with(expected), "{text}");
     for (text, parts) in [
         ("[human]\nrepeat = \"often\"", ["line 2", "restart"]),
-        ("[learner]\nclip = \"much\"", ["line 2", "invalid type: string \"much\", expected f64"]),
+        (
+            "[learner]\nclip = \"much\"",
+            ["line 2", "invalid type: text \"much\", expected a number"],
+        ),
         ("domain = \"cartpole\"\n[human]\ncan_stop = true", ["line 2", "unknown field `human`"]),
         ("\nlearning_rate = 1.0", ["line 2", "did you mean `learner.learning_rate`?"]),
         ("\nlerning_rate = 1.0", ["line 2", "did you mean `learner.learning_rate`?"]),
@@ -385,9 +388,20 @@ fn a_wrong_value_is_reported_by_line_or_option_with_what_is_allowed() {
     for (set, parts) in [
         ("learner.clipp=1", ["--set learner.clipp: ", "`clip`"]),
         ("learning_rate=1", ["--set learning_rate: ", "did you mean `learner.learning_rate`?"]),
-        ("learner=[]", ["--set learner: `learner` is a section, not array", "clip"]),
-        ("learner=3", ["--set learner: `learner` is a section, not integer", "clip"]),
-        ("human.reaction_delay=[]", ["`reaction_delay` is a section, not array", "fixed"]),
+        ("learner=[]", ["--set learner: `learner` is a section, not a list: set its", "`anneal`"]),
+        ("learner=3", ["`learner` is a section, not a whole number: set", "such as `anneal`"]),
+        ("human.reaction_delay=[]", ["`reaction_delay` is a section, not a list", "`fixed`"]),
+        ("learner.n_envs=1.5", ["--set learner.n_envs: ", "number `1.5`, expected a whole number"]),
+        ("seed=-1", ["whole number `-1`", ", expected a whole number that is not negative"]),
+        ("actor.window=5e9", ["`5000000000`", ", expected a whole number that is not as large"]),
+        ("learner.anneal=3", ["whole number `3`", ", expected true or false"]),
+        ("run.name=true", ["invalid type: `true`", ", expected text"]),
+        ("run.keep=3", ["whole number `3`", ", expected a table"]),
+        ("evaluation.world=3", ["whole number `3`", ", expected a table"]),
+        ("policy.hidden={a=1}", ["invalid type: a table", ", expected a list"]),
+        ("world.zone_jitter=3", ["whole number `3`", ", expected a list"]),
+        ("learner.mode=3", ["--set learner.mode: ", "expected text or a table"]),
+        ("learner.clip=\", expected \"", ["text \", expected \"", ", expected a number"]),
         ("world.landing_reward=nan", ["`world.landing_reward` is nan", "a finite number"]),
     ] {
         refused("", &[set], &parts);
