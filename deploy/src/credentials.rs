@@ -1,13 +1,12 @@
 //! Who this process is on the network, and whom it lets in: from arguments to what the network's crate takes.
 
-use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context as _, bail};
 use leadtime_certs::{Identity, Role};
 use leadtime_link::{AccessList, ConnectSettings, Endpoint, Error as LinkError, ListenSettings};
-use leadtime_runs::clock;
+use leadtime_runs::{clock, regular};
 
 use crate::cli::{self, GuardArgs, NotifierArgs, TlsArgs};
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -114,7 +113,7 @@ pub(crate) fn check_listening(
 }
 
 fn access_list(file: &Path) -> anyhow::Result<AccessList> {
-    let text = fs::read_to_string(file);
+    let text = regular::read_to_string(file);
     let text = text.with_context(|| format!("cannot read {}", file.display()))?;
     AccessList::parse(&text).with_context(|| file.display().to_string())
 }

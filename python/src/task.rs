@@ -37,7 +37,11 @@ impl PlayedTask {
         let set = set.iter().map(|text| Override::parse(text)).collect::<Result<_, _>>();
         let set = set.map_err(PyValueError::new_err)?;
         let place = format!("configuration {config}");
-        let (file, text) = match fs::read_to_string(config) {
+        // A pipe would keep its reader waiting for ever.
+        let is_other = fs::metadata(config).is_ok_and(|found| !found.is_file());
+        let not_one = || Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a file"));
+        let text = if is_other { not_one() } else { fs::read_to_string(config) };
+        let (file, text) = match text {
             Ok(text) => (Layer::text(place.clone(), text.clone()), Some(text)),
             Err(error) => (built_in(config, &error, &catalog)?, None),
         };

@@ -259,6 +259,10 @@ class Gym(unittest.TestCase):
                 gymnasium.make("leadtime/Lander-v0", set=settings)
         with self.assertRaisesRegex(ValueError, "no file or configuration"):
             gymnasium.make("leadtime/Lander-v0", config="moon")
+        with tempfile.TemporaryDirectory() as place:
+            os.mkfifo(pipe := f"{place}/pipe.toml")
+            with self.assertRaisesRegex(ValueError, "pipe.toml: it is not a file"):
+                gymnasium.make("leadtime/Lander-v0", config=pipe)
         with self.assertRaisesRegex(ValueError, "allowed: one of each of"):
             gymnasium.make("leadtime/CartPole-v0").unwrapped.world.step([7])
         self.assertIn("paper_lander", leadtime.configurations())

@@ -475,6 +475,9 @@ fn a_pipe_that_is_given_for_a_file_is_refused_and_not_waited_for() {
     for command in ["check -c", "up -c", "learner -c", "compare", &eval] {
         refused(&place, &[command, &pipe], &["reading ", "pipe.toml is not a file"]);
     }
+    for command in ["conformance lander", "replay", "pilot eval --pilot"] {
+        refused(&place, &[command, &pipe], &["pipe.toml is not a file"]);
+    }
 }
 
 #[test]

@@ -1,7 +1,6 @@
 //! Policy files: they carry the whole configuration they were trained under, so one file is enough to evaluate them.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
@@ -252,7 +251,7 @@ pub fn what_it_is(bytes: &[u8], error: &dyn std::error::Error) -> String {
 
 fn read(path: &Path) -> Result<(Vec<u8>, BTreeMap<String, String>), PolicyFileError> {
     let unread = |source| PolicyFileError::Read { path: path.to_owned(), source };
-    let bytes = fs::read(path).map_err(unread)?;
+    let bytes = regular::read(path).map_err(unread)?;
     match read_metadata(&bytes) {
         Ok(metadata) => Ok((bytes, metadata)),
         Err(error) => Err(foreign(path, &what_it_is(&bytes, &error))),
@@ -323,6 +322,8 @@ fn find(runs: &Path, name: &Path, files: [&str; 2]) -> Result<PathBuf, PolicyFil
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     #[test]

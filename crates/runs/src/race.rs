@@ -10,7 +10,7 @@
 
 use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
-use std::{fmt, fs, io};
+use std::{fmt, io};
 
 use leadtime_config::{Config, ConfigError, Layer, identity};
 use leadtime_eval::Error;
@@ -319,7 +319,7 @@ impl Race {
                 self.quarter()
             )));
         }
-        fs::read(&newest)
+        regular::read(&newest)
             .and_then(|policy| write_atomically(&copy, &policy))
             .map_err(|error| RunDirError::Refused(format!("{}: {error}", copy.display())))?;
         Ok(copy)
@@ -470,6 +470,8 @@ fn going_on(scores: &[Option<&RaceScore>], n_keep: usize) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
     use crate::test_support::config;
 

@@ -6,8 +6,12 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read as _};
 use std::path::Path;
 
-/// Opens a regular file; anything else is an error that says so.
-pub(crate) fn open(path: &Path) -> io::Result<File> {
+/// Opens a regular file.
+///
+/// # Errors
+///
+/// If it is not there, is something else than a file, or cannot be opened.
+pub fn open(path: &Path) -> io::Result<File> {
     check(path)?;
     File::open(path)
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use leadtime_config::Config;
 use leadtime_eval::measure::Player;
 use leadtime_runs::build::n_cores;
-use leadtime_runs::{Tasks, write_atomically};
+use leadtime_runs::{Tasks, regular, write_atomically};
 use leadtime_scripts::{
     Error as ScriptError, Oracle, OracleBase, Script, ScriptPlayer, SearchSettings, search,
 };
@@ -105,7 +105,8 @@ impl PlannedSearch {
 
     /// Reads the script that was found.
     fn script(&self) -> Result<Script, Error> {
-        let text = fs::read_to_string(&self.path).map_err(Error::file("reading", &self.path))?;
+        let text =
+            regular::read_to_string(&self.path).map_err(Error::file("reading", &self.path))?;
         Script::read(&text).at(self.path.display())
     }
 

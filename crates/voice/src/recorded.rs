@@ -24,8 +24,14 @@ pub const OGG: &str = "sound.ogg";
 pub fn sentences(directory: &Path, with_sound: bool) -> Result<Vec<SpokenSentence>, VoiceError> {
     let wrong =
         |file: &str, reason: String| VoiceError::Recorded { path: directory.join(file), reason };
-    let bytes =
-        |file: &str| fs::read(directory.join(file)).map_err(|error| wrong(file, error.to_string()));
+    let bytes = |file: &str| {
+        let path = directory.join(file);
+        // A pipe would keep its reader waiting for ever.
+        if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
+            return Err(wrong(file, "it is not a file".to_owned()));
+        }
+        fs::read(path).map_err(|error| wrong(file, error.to_string()))
+    };
     let index =
         String::from_utf8(bytes(INDEX)?).map_err(|error| wrong(INDEX, error.to_string()))?;
     let index = SoundIndex::read(&index).map_err(|reason| wrong(INDEX, reason))?;

@@ -6,6 +6,7 @@ use std::path::Path;
 use anyhow::Context as _;
 use flate2::read::MultiGzDecoder;
 use leadtime_conformance::{Original, Replay};
+use leadtime_runs::regular;
 use leadtime_table::Table;
 
 use crate::cli::{ConformanceArgs, ConformanceWorld};
@@ -50,7 +51,7 @@ fn print(replay: &Replay) {
 
 /// Reads a text file, unpacking it if it is gzip.
 fn read(file: &Path) -> anyhow::Result<String> {
-    let bytes = std::fs::read(file).with_context(|| format!("reading {}", file.display()))?;
+    let bytes = regular::read(file).with_context(|| format!("reading {}", file.display()))?;
     if !bytes.starts_with(&GZIP_MAGIC) {
         let text = String::from_utf8(bytes);
         return text.with_context(|| format!("{} is no text", file.display()));

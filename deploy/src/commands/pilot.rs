@@ -6,6 +6,7 @@ use anyhow::{Context as _, anyhow};
 use leadtime_lander::pilot::{Flyer, Pilot, PilotEvaluation, evaluate};
 use leadtime_lander::world::PhysicsSettings;
 use leadtime_runs::policy_file::what_it_is;
+use leadtime_runs::regular;
 use leadtime_table::Table;
 use serde_json::json;
 
@@ -31,7 +32,7 @@ pub(super) fn run(args: &PilotEvalArgs) -> Result<(), Failure> {
 
 fn read(file: &Path) -> anyhow::Result<Pilot> {
     let shown = file.display();
-    let bytes = std::fs::read(file)
+    let bytes = regular::read(file)
         .with_context(|| format!("pilot `{shown}` is neither heuristic, embedded nor a file"))?;
     Pilot::from_safetensors(&bytes)
         .map_err(|error| anyhow!("{shown} is not a pilot: {}", what_it_is(&bytes, &error)))

@@ -1,12 +1,12 @@
 //! What `replay` and `play` share: reading a recording, and saying what of it cannot be read.
 
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
 use anyhow::Context as _;
 use leadtime_proto::ClientName;
 use leadtime_recording::{RecordedSession, RecordingEnd, RecordingFile, sessions};
+use leadtime_runs::regular;
 
 use crate::exit::{Blame as _, ExitCode, Failure};
 
@@ -16,7 +16,7 @@ pub(super) fn read(
     client: Option<&ClientName>,
 ) -> Result<Vec<RecordedSession>, Failure> {
     let place = || path.display().to_string();
-    let file = File::open(path).with_context(place).blame(ExitCode::WrongInput)?;
+    let file = regular::open(path).with_context(place).blame(ExitCode::WrongInput)?;
     let is_wanted =
         |name: &str| client.is_none_or(|client| name.rsplit('/').next() == Some(client.as_str()));
     let recording = RecordingFile::read_of(BufReader::new(file), is_wanted).with_context(place);

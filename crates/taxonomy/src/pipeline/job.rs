@@ -17,6 +17,7 @@ use super::plan::DatabasePlan;
 use super::presuppose::Presuppositions;
 use super::prompts::{PromptWriter, Prompts};
 use super::rating::Rating;
+use super::regular;
 use crate::check::Finding;
 use crate::database::Taxonomy;
 use crate::error::TaxonomyError;
@@ -69,11 +70,7 @@ pub fn plan_or_file(name_or_path: &Path) -> Result<DatabasePlan, PipelineError> 
     if let Some(source) = SOURCES.iter().find(|source| name_or_path.as_os_str() == source.domain) {
         return plan(source.domain);
     }
-    DatabasePlan::from_toml(&read(name_or_path)?)
-}
-
-fn read(path: &Path) -> Result<String, PipelineError> {
-    std::fs::read_to_string(path).map_err(PipelineError::file(path))
+    DatabasePlan::from_toml(&regular::read_to_string(name_or_path)?)
 }
 
 /// Who writes and rates.
@@ -118,7 +115,7 @@ pub fn run(plan: &DatabasePlan, job: BuildJob) -> Result<(Built, LogHeader), Pip
         None => Prompts::default(),
     };
     if matches!(job.backend, Backend::Replay) {
-        return replay(plan, &prompts, &job.log, &read(&job.log)?);
+        return replay(plan, &prompts, &job.log, &regular::read_to_string(&job.log)?);
     }
     PromptWriter { plan, prompts: &prompts }.check()?;
     let generator = generator(plan, &job.backend)?;
@@ -133,7 +130,9 @@ pub fn run(plan: &DatabasePlan, job: BuildJob) -> Result<(Built, LogHeader), Pip
 
 fn generator(plan: &DatabasePlan, backend: &Backend) -> Result<Box<dyn Model>, PipelineError> {
     Ok(match backend {
-        Backend::Authored(Some(path)) => Box::new(Annotator::parse(&read(path)?, plan)?),
+        Backend::Authored(Some(path)) => {
+            Box::new(Annotator::parse(&regular::read_to_string(path)?, plan)?)
+        }
         Backend::Authored(None) => {
             let shipped = source(&plan.domain).map_err(|_unknown| {
                 let (domain, known) = (&plan.domain, SOURCES.map(|source| source.domain));

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::backend::{Call, CallStage, Input, Reply};
 use super::error::PipelineError;
+use super::regular;
 use crate::utterance::Fidelity;
 
 /// How every log begins.
@@ -70,6 +71,7 @@ impl CallLog {
     /// Opens a log to go on with, or begins one; an error if it is damaged before its last line, if it is no log, or if
     /// somebody else writes to it. What is refused stays as it is.
     pub(super) fn open(path: &Path) -> Result<Self, PipelineError> {
+        regular::check_if_there(path)?;
         let file = OpenOptions::new().append(true).create(true).open(path);
         let file = file.map_err(PipelineError::file(path))?;
         // Two that find it empty would both begin it. A file system without locks is no reason to refuse.
@@ -79,7 +81,7 @@ impl CallLog {
                 path.display()
             )));
         }
-        let text = std::fs::read(path).map_err(PipelineError::file(path))?;
+        let text = regular::read(path)?;
         let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |last| last + 1);
         // A header may be torn as well, but what begins otherwise is somebody's own file.
         if whole == 0 && !text.starts_with(BEGINNING) && !BEGINNING.starts_with(&text) {

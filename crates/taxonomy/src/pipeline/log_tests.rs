@@ -77,6 +77,16 @@ fn a_file_that_is_refused_stays_as_it_is() {
 }
 
 #[test]
+fn a_pipe_in_the_place_of_a_log_keeps_nobody_waiting() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("calls.jsonl");
+    assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+    for told in [CallLog::open(&path).map(|_| ()), regular::read_to_string(&path).map(|_| ())] {
+        assert!(told.unwrap_err().to_string().ends_with("calls.jsonl: it is not a file"));
+    }
+}
+
+#[test]
 fn a_log_has_one_writer() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("calls.jsonl");

@@ -50,6 +50,7 @@ mod presuppose;
 mod progress;
 mod prompts;
 mod rating;
+mod regular;
 mod reply;
 mod representatives;
 mod rules;

@@ -7,6 +7,7 @@ use std::path::Path;
 use super::backend::{Call, CallStage, Input, Sampling};
 use super::error::PipelineError;
 use super::plan::{DatabasePlan, RatedSentence, TopicPlan, hash};
+use super::regular;
 use super::reply::joined;
 use super::template::{Variables, render};
 use crate::utterance::Cell;
@@ -41,7 +42,7 @@ impl Prompts {
         for (name, template) in &mut prompts.0 {
             let path = directory.join(name).with_extension("txt");
             if path.exists() {
-                *template = std::fs::read_to_string(&path).map_err(PipelineError::file(&path))?;
+                *template = regular::read_to_string(&path)?;
             }
         }
         Ok(prompts)
