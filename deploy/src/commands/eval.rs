@@ -12,7 +12,7 @@ use leadtime_runs::evaluation::{compare, evaluate_all, record};
 use leadtime_runs::{EvaluationRecord, LoadedPolicy, RunRecord, Tasks};
 use serde_json::json;
 
-use super::opponent::opponents;
+use super::opponent::{self, opponents};
 use super::{episode, evaluation};
 use crate::cli::EvalArgs;
 use crate::exit::{Blame as _, ExitCode, Failure};
@@ -22,7 +22,7 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     args.acting.choosing.worker.permit(tasks, &args.policy);
     let Some(each) = &args.each else {
         let task = EvalTask::load(tasks, args, None)?;
-        evaluation::warn_of_own_episodes(&task.policy, args.acting.choosing.eval_seed);
+        warn_of_own_episodes(&task.policy, args);
         if args.transcript {
             return transcript(tasks, args, &task);
         }
@@ -56,7 +56,7 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
     let load = |change| EvalTask::load(tasks, args, Some(change));
     let loaded = each.0.iter().map(load).collect::<Result<Vec<_>, _>>()?;
     if let Some(task) = loaded.first() {
-        evaluation::warn_of_own_episodes(&task.policy, args.acting.choosing.eval_seed);
+        warn_of_own_episodes(&task.policy, args);
     }
     let mut results = Vec::new();
     for (task, change) in loaded.iter().zip(&each.0) {
@@ -75,6 +75,13 @@ pub(super) fn run(tasks: &Tasks, args: &EvalArgs) -> Result<(), Failure> {
         output::next(&task.policy.path, &[DRAW]);
     }
     Ok(())
+}
+
+/// Warns where a player plays the episodes by which it became what it is.
+fn warn_of_own_episodes(policy: &LoadedPolicy, args: &EvalArgs) {
+    let seed = args.acting.choosing.eval_seed;
+    evaluation::warn_of_own_episodes(policy, seed);
+    opponent::warn_of_own_episodes(&args.baseline, seed);
 }
 
 /// A policy, the task that it is evaluated in, and every player.

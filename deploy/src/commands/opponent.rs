@@ -7,6 +7,7 @@ use leadtime_eval::measure::Player;
 use leadtime_runs::regular;
 use leadtime_scripts::{Oracle, OracleBase, Script, ScriptPlayer};
 use leadtime_sims::Environment;
+use toml::Table;
 
 /// The name of the clairvoyant player.
 pub(super) const ORACLE: &str = "oracle";
@@ -37,6 +38,21 @@ pub(super) fn opponents(
         Player::baseline(name)
     };
     Ok(names.iter().map(player).collect())
+}
+
+/// Warns where a script plays the episodes by which its search chose it.
+pub(super) fn warn_of_own_episodes(names: &[PathBuf], seed: u64) {
+    for file in names.iter().filter(|name| is_file(name)) {
+        let text = regular::read_to_string(file).unwrap_or_default();
+        let searched = text.parse::<Table>().ok();
+        let searched = searched.and_then(|text| text.get("search")?.get("seed")?.as_integer());
+        if searched.is_some_and(|searched| u64::try_from(searched) == Ok(seed)) {
+            tracing::warn!(
+                script = %file.display(),
+                "seed {seed} is that of its search, which chose it by these episodes; others tell more: take another --eval-seed"
+            );
+        }
+    }
 }
 
 /// Lists the task's own scripts.
