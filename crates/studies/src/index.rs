@@ -116,6 +116,7 @@ fn others(results: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
     use std::os::unix::fs::symlink;
 
     use super::*;
@@ -147,5 +148,48 @@ mod tests {
         fs::write(dir.path().join("hard.json"), "{}").unwrap();
         let error = sentence(page(dir.path()));
         assert!(error.contains("hard.json is not a study's result"), "{error}");
+    }
+
+    /// Where the results of the studies that come with the program are shown.
+    fn shipped() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/results")
+    }
+
+    #[test]
+    fn every_page_of_results_is_what_its_data_say_but_for_those_written_by_hand() {
+        let by_hand = ["beyond", "cooking", "driving", "parity", "pilot", "piloting", "search"];
+        let by_hand = by_hand.into_iter().chain(["targets", "verdict"]);
+        let mut pages: Vec<String> = by_hand.map(str::to_owned).collect();
+        for name in catalog::names() {
+            let Some(result) = read(&data(&shipped(), name)).unwrap() else { continue };
+            let page = fs::read_to_string(shipped().join(format!("{name}.md"))).unwrap();
+            let differs = |(ours, theirs): &(&str, &str)| ours != theirs;
+            let made = result.markdown();
+            assert_eq!(page.lines().zip(made.lines()).find(differs), None, "{name}: page, data");
+            assert_eq!(page, made, "{name}");
+            pages.push(name.to_owned());
+        }
+        let index = fs::read_to_string(shipped().join(FILE)).unwrap();
+        assert_eq!(page(&shipped()).unwrap(), index);
+        pages.extend(["README".to_owned()]);
+        pages.sort();
+        let files = fs::read_dir(shipped()).unwrap().map(|entry| entry.unwrap().path());
+        let files = files.filter(|file| file.extension().is_some_and(|end| end == "md"));
+        let mut found: Vec<String> =
+            files.map(|file| file.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
+        found.sort();
+        assert_eq!(found, pages, "a page is a study's, or one of those written by hand");
+    }
+
+    #[test]
+    fn the_first_seeds_of_the_studies_are_those_that_the_documentation_names() {
+        let text = fs::read_to_string(shipped().join("../studies.md")).unwrap();
+        let (_, told) = text.split_once("* Rows train with ").unwrap();
+        let (told, _) = told.split_once(". The main rows").unwrap();
+        let told: BTreeSet<u64> =
+            told.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse().ok()).collect();
+        let studies = catalog::find("all").unwrap();
+        let parts = studies.iter().flat_map(|named| &named.study.parts);
+        assert_eq!(parts.map(|part| part.first_seed).collect::<BTreeSet<u64>>(), told);
     }
 }
