@@ -15,7 +15,6 @@ it succeeded.
 
 import json
 import math
-import operator
 
 import numpy as np
 
@@ -28,6 +27,7 @@ except ImportError as error:
     raise ImportError(f"{error}: leadtime.gym needs Gymnasium, `pip install 'gymnasium>=1.1'`") from None
 
 from leadtime._native import World, Worlds
+from leadtime.checks import whole
 
 IDS = {
     "leadtime/Lander-v0": "lander",
@@ -74,17 +74,6 @@ def make_spaces(world):
 def no_episode(action=None):
     """Stands for a step before the first episode."""
     raise gymnasium.error.ResetNeeded("there is no episode yet: call reset() first")
-
-
-def whole(value, what, below=math.inf):
-    """Returns a number that names a run or an episode, in whatever type of whole numbers it comes."""
-    try:
-        number = operator.index(value)
-    except TypeError:
-        number = -1
-    if not 0 <= number < below:
-        raise ValueError(f"{what} {value!r}; allowed: a whole number from 0 {'on' if below == math.inf else f'to {below - 1}'}")
-    return number
 
 
 class Episodes:

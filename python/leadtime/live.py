@@ -20,6 +20,8 @@ import time
 
 import zenoh
 
+from leadtime.checks import named, whole
+
 # Events that wait to be read; beyond it the oldest go, because what was said long ago helps nobody.
 MAX_EVENTS = 1024
 # Seconds for which a notifier is looked for.
@@ -139,16 +141,15 @@ class Notifier:
         ``facts`` names what holds now, for sentences that presuppose something; ``None`` says nothing about it. Raises :class:`Lost`
         if the session is closed, or its notifier was started again: open a new one.
         """
-        if isinstance(facts, str):
-            raise ValueError(f"facts are a list of names, not {facts!r}")
+        episode, facts = whole(episode, "episode"), named(facts)
         # One that is gone may only be out of reach, and come back.
         if (self._here is None or self._here) and (why := self._why_lost()):
             raise Lost(why)
         self._seq += 1
         message = {"seq": self._seq, "t": time.monotonic() - self._began, "obs": [float(x) for x in observation],
-                   "episode": int(episode), "end": bool(end)}
+                   "episode": episode, "end": bool(end)}
         if facts is not None:
-            message["facts"] = list(facts)
+            message["facts"] = facts
         try:
             self._sights.put(json.dumps(message))
         except zenoh.ZError as error:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from leadtime.checks import named, whole
 from leadtime.policy import PolicyError, load
 
 try:
@@ -102,11 +103,6 @@ class Sentences:
         return sentences[turn][0], cell != asked
 
 
-def is_number(value):
-    """Tells whether a value can be the number of an episode, or a seed."""
-    return isinstance(value, (int, np.integer)) and value >= 0
-
-
 class LocalNotifier:
     """A notifier at work in this process.
 
@@ -115,8 +111,7 @@ class LocalNotifier:
     """
 
     def __init__(self, policy, words=None, *, greedy=None, seed=0):
-        if not is_number(seed):
-            raise ValueError(f"a seed is a whole number from 0 on, not {seed!r}")
+        seed = whole(seed, "seed")
         self.policy = policy if hasattr(policy, "act") else load(policy)
         config = tomllib.loads(self.policy.metadata.get("config", ""))
         heads = dict(self.policy.heads)
@@ -169,10 +164,7 @@ class LocalNotifier:
             raise ValueError(f"an observation has {self.obs_dim} numbers, this one has shape {sight.shape}")
         if not np.isfinite(sight).all():
             raise ValueError("the observation holds a number that is not finite")
-        if not is_number(episode):
-            raise ValueError(f"an episode is a whole number from 0 on, not {episode!r}")
-        if isinstance(facts, str):
-            raise ValueError(f"facts are a list of names, not {facts!r}")
+        episode, facts = whole(episode, "episode"), named(facts)
         self._events = []
         is_new = episode != self._episode
         if is_new or end:

@@ -477,6 +477,11 @@ class Policy(unittest.TestCase):
             notifier.step(np.zeros(7))
         with self.assertRaisesRegex(ValueError, "not finite"):
             notifier.step(np.full(8, np.nan))
+        for odd in ("zone_ahead", {"zone_ahead": False}, [3]):
+            with self.assertRaisesRegex(ValueError, "facts are a list of names"):
+                notifier.step(np.zeros(8), facts=odd)
+        with self.assertRaisesRegex(ValueError, "episode 1.5; allowed: a whole number from 0 on"):
+            notifier.step(np.zeros(8), episode=1.5)
         policy.metadata = {**policy.metadata, "config": "", "domain": "cartpole"}
         with self.assertRaisesRegex(ValueError, "nobody is spoken to in `cartpole`"):
             LocalNotifier(policy)

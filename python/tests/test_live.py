@@ -197,8 +197,16 @@ class Live(unittest.TestCase):
                 Notifier(self.endpoint, odd, "lander")
             with self.assertRaisesRegex(ValueError, "service"):
                 Notifier(self.endpoint, "m", "lander", service=odd)
-        with Notifier(self.endpoint, "m", "lander") as notifier, self.assertRaisesRegex(ValueError, "a list of names"):
-            notifier.step(FALLING[0], facts="zone_below")
+        local = LocalNotifier(ROOT / "deploy/policies/piloting.safetensors")
+        with Notifier(self.endpoint, "m", "lander") as notifier:
+            for own in (notifier, local):
+                for odd in ("zone_below", b"zone_below", {"zone_below": False}, [("zone_below", True)]):
+                    with self.assertRaisesRegex(ValueError, "a list of names"):
+                        own.step(FALLING[0], facts=odd)
+                for odd in (-1, 1.5, "1"):
+                    with self.assertRaisesRegex(ValueError, "allowed: a whole number from 0 on"):
+                        own.step(FALLING[0], episode=odd)
+                own.step(FALLING[0], facts={"zone_below"}, episode=np.int64(1))
 
     def test_where_nobody_is_nobody_is_found(self):
         with self.assertRaises(Lost):
