@@ -6,8 +6,9 @@
     worker = "python3 -m leadtime.worker"                    # the id is in env = { id = "CartPole-v1" }
 
 ``config`` is the table ``env`` of the configuration; ``index`` tells environments of one worker apart, for ports and files: what
-an environment computes must not depend on it. ``info["action_mask"]`` (a bool per choice, heads concatenated) says what is
-offered; ``info["success"]`` and the numbers that ``metrics`` names are read at the end of an episode.
+an environment computes must not depend on it. ``info["action_mask"]`` says what is offered: a bool per choice, heads concatenated,
+or an array for each part of a MultiDiscrete, Dict or Tuple, as its ``sample`` takes them. Without it, ``action_mask`` of an observation that is a Dict does, which stays
+part of the observation. ``info["success"]`` and the numbers that ``metrics`` names are read at the end of an episode.
 
 An observation is flattened as ``gymnasium.spaces.flatten`` does. An action is one choice per head: a Discrete is a head, a
 MultiDiscrete one per dimension, a MultiBinary one of two choices per bit; Dict and Tuple have those of their parts. The protocol
@@ -38,6 +39,7 @@ HELLO, BEGIN, STEP, STEPPED, SNAPSHOT, SNAPSHOTTED, LOG, FAILED, ALIVE = range(1
 ITSELF = 0xFFFF
 MOST_TEXT = 8 << 10
 MOST_HEADS, MOST_CHOICES = 8, 64
+MOST_NUMBERS = 1 << 18  # Of an observation; crates/worker/src/settings.rs has the same bound.
 MOST_PICKLE = 192 << 10  # Bytes; crates/worker/src/launch.rs has the same bound.
 EVERYTHING = 2**64 - 1
 MOST_OBSERVED = 1e9  # The largest number that a rollout may hold, either way.
@@ -165,7 +167,8 @@ def sentence(error):
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if "site-packages" not in frame.filename and frame.filename != __file__
            and not frame.filename.startswith(("<", os.path.dirname(os.__file__)))]
-    place = (own or frames)[-1:]
+    # A line of this file says nothing of what is wrong with theirs.
+    place = (own or [frame for frame in frames if frame.filename != __file__])[-1:]
     where = "".join(f" ({os.path.basename(frame.filename)}:{frame.lineno})" for frame in place)
     # A SyntaxError says itself where it is.
     if isinstance(error, (ImportError, SyntaxError)) and not own:
@@ -235,6 +238,25 @@ def decoder(space, spaces, np):
     return lambda choices: tuple(decode(choices[of]) for of, decode in parts)
 
 
+def masks_of(offered, space, spaces, np):
+    """Yields what is offered of each part of an action: of one array over all, an array per head, or what `sample` takes."""
+    if offered is None:
+        yield np.ones(sum(n for _, n in count(space, spaces)))
+    elif isinstance(offered, Mapping):
+        if not isinstance(space, spaces.Dict):
+            raise Refused(f"`action_mask` is a dict, and the action space is {space}")
+        for key, part in space.spaces.items():
+            if key not in offered:
+                raise Refused(f"`action_mask` has no `{key}`, and the action space has")
+            yield from masks_of(offered[key], part, spaces, np)
+    elif isinstance(offered, (tuple, list)):
+        parts = space.spaces if isinstance(space, spaces.Tuple) and len(space.spaces) == len(offered) else [space] * len(offered)
+        for of_part, part in zip(offered, parts):
+            yield from masks_of(of_part, part, spaces, np)
+    else:
+        yield np.ravel(offered)
+
+
 class Flattener:
     """Makes rows of 32-bit numbers of observations."""
 
@@ -245,7 +267,11 @@ class Flattener:
         except (NotImplementedError, ValueError):
             raise Refused(f"the observation space is {space}; possible are Box, Discrete, MultiDiscrete, MultiBinary, and Dict or "
                           "Tuple of these") from None
+        if not 1 <= self.dim <= MOST_NUMBERS:
+            raise Refused(f"an observation has {self.dim} numbers; 1 to {MOST_NUMBERS} are possible")
         is_box = isinstance(space, spaces.Box)
+        # Beside what is observed, as other libraries have it.
+        self.has_mask = isinstance(space, spaces.Dict) and "action_mask" in space.spaces
         self.flatten = None if is_box else spaces.flatten
         # Observations of this shape are a row as they are.
         self.shape = (self.dim,) if is_box and space.shape == (self.dim,) else None
@@ -349,7 +375,7 @@ def maker(target, config):
             raise Refused(f"module `{module}` has no `{name}`")
         make = getattr(make, part)
     if inspect.isclass(make) and issubclass(make, gymnasium.Env):
-        return lambda index: make(**config)
+        return lambda index: called(make, **config)
     if not callable(make):
         raise Refused(f"`{target}` is {shown(make)}, and no function that makes an environment")
     parameters = inspect.signature(make).parameters.values()
@@ -357,10 +383,22 @@ def maker(target, config):
     if any(p.kind is p.VAR_POSITIONAL for p in parameters):
         takes = 2
     if takes == 0 and any(p.kind in (p.KEYWORD_ONLY, p.VAR_KEYWORD) for p in parameters):
-        return lambda index: make(**config)
+        return lambda index: called(make, **config)
     if takes == 0 and config:
         raise Refused(f"`{target}` takes no argument, and `env` has {sorted(config)}: let it take `config`, and `index` if it needs that")
-    return lambda index: make(*(config, index)[:takes])
+    return lambda index: called(make, *(config, index)[:takes])
+
+
+def called(make, *given, **named):
+    """Makes an environment; where the arguments do not fit, it says which they were."""
+    try:
+        return make(*given, **named)
+    except TypeError as error:
+        # Of the call itself, and not of anything inside.
+        if error.__traceback__.tb_next is not None:
+            raise
+        what = "`config` and `index`" if given else f"the keys of `env` as arguments, which has {sorted(named)}"
+        raise Refused(f"{error}: it gets {what}") from None
 
 
 def from_registry(name, arguments):
@@ -457,7 +495,7 @@ class Worker:
         odd = numpy.flatnonzero(~(abs(row) <= MOST_OBSERVED))
         if odd.size:
             raise Refused(f"`reset` returns {row[odd[0]]:g} at index {odd[0]} of the observation; allowed: up to {MOST_OBSERVED:g} either way")
-        self.mask(info)
+        self.mask(info, observation)
         self.told = set()
         self.step_layout = struct.Struct(f"<HI{len(self.heads)}s")
         self.metric_layout = struct.Struct(f"<{len(self.metrics)}f")
@@ -493,19 +531,21 @@ class Worker:
                 raise Refused(f"the {kind} space is {own}, and was {space} at first")
         return told
 
-    def mask(self, info):
+    def mask(self, info, observation):
         offered = info.get("action_mask")
+        if offered is None and self.observe.has_mask:
+            offered = observation["action_mask"]
         if offered is None:
             return EVERYTHING
         np = self.np
-        parts = offered if isinstance(offered, (tuple, list)) else [offered]
+        parts = [offered] if isinstance(offered, np.ndarray) else list(masks_of(offered, self.action_space, self.gymnasium.spaces, np))
         flat = np.concatenate([np.ravel(part) for part in parts]).astype(bool)
         if flat.shape != (self.n_choices,):
-            raise Refused(f"info[\"action_mask\"] has {flat.size} entries for {self.n_choices} choices")
+            raise Refused(f"`action_mask` has {flat.size} entries for {self.n_choices} choices")
         is_offered = np.logical_or.reduceat(flat, self.first_choices)
         if not is_offered.all():
             name = self.heads[int(is_offered.argmin())][0]
-            raise Refused(f"info[\"action_mask\"] offers no choice of `{name}`: offer at least one, such as one that does nothing")
+            raise Refused(f"`action_mask` offers no choice of `{name}`: offer at least one, such as one that does nothing")
         return int.from_bytes(np.packbits(flat, bitorder="little").tobytes(), "little")
 
     def summary(self, info):
@@ -540,7 +580,7 @@ class Worker:
             self.envs[slot], row, mask = pickle.loads(base)
         else:
             observation, info = self.reset(slot, seed)
-            row, mask = self.observe.row(observation), self.mask(info)
+            row, mask = self.observe.row(observation), self.mask(info, observation)
         env, n_heads = self.envs[slot], len(self.heads)
         n_steps = len(actions) // n_heads
         for step in range(n_steps):
@@ -551,13 +591,13 @@ class Worker:
                               "depend on its seed and its actions alone")
             self.connection.live()
         if n_steps:
-            row, mask = self.observe.row(observation), self.mask(info)
+            row, mask = self.observe.row(observation), self.mask(info, observation)
         return row, mask
 
     def step(self, body):
         n = struct.unpack_from("<H", body)[0]
         envs, decode, row_of, shape, monotonic = self.envs, self.decode, self.observe.row, self.observe.shape, time.monotonic
-        ndarray, float32 = self.np.ndarray, self.observe.dtype
+        ndarray, float32, has_mask = self.np.ndarray, self.observe.dtype, self.observe.has_mask
         rows, rewards, ends, masks, rest, last = [], [], bytearray(n), [EVERYTHING] * n, [], self.connection.last
         for i, (slot, seed, choices) in enumerate(self.step_layout.iter_unpack(memoryview(body)[2:])):
             try:
@@ -581,8 +621,8 @@ class Worker:
                     ended = row.tobytes() + self.summary(info)
                     observation, info = self.reset(slot, seed)
                     row = row_of(observation)
-                if "action_mask" in info:
-                    masks[i] = self.mask(info)
+                if has_mask or "action_mask" in info:
+                    masks[i] = self.mask(info, observation)
                 if ended:
                     rest.append(ended)
                     ends[i] = TERMINATED if terminated else TRUNCATED

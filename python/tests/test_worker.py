@@ -171,6 +171,9 @@ def test_what_cannot_be_is_said_in_a_sentence():
     assert "9 heads" in refused(lambda index: Toy(action_space=spaces.MultiBinary(9)))
     alike = spaces.Dict(a=spaces.MultiDiscrete([2, 3]), a_0=spaces.Discrete(2))
     assert "two heads of an action are `action_a_0`" in refused(lambda index: Toy(action_space=alike))
+    for shape, n in (((0,), 0), ((512, 513, 1), 262656)):
+        told = refused(lambda index: Toy(observation_space=spaces.Box(0, 1, shape)))
+        assert told == f"an observation has {n} numbers; 1 to 262144 are possible", told
     assert "no gymnasium.Env" in refused(lambda index: "an environment")
     assert "the observation space is" in refused(lambda index: Toy(observation_space=spaces.Sequence(spaces.Discrete(2))))
     assert "shape (3,), not (2,)" in refused(lambda index: Toy(fault="shape"))
@@ -196,6 +199,84 @@ def test_what_cannot_be_is_said_in_a_sentence():
     pair.begin()
     _, failures = pair.step([0])
     assert "`step` returns 4 values, not five" in failures[0], failures
+
+
+def test_what_is_offered_is_said_in_info_or_in_the_observation_in_the_form_of_the_action_space():
+    multi = spaces.MultiDiscrete([2, 3])
+    both, nested = spaces.Dict(b=spaces.Discrete(2), a=multi), spaces.Tuple([spaces.Discrete(2), spaces.Dict(a=multi)])
+
+    class Masked(Toy):
+        def reset(self, **options):
+            return super().reset(**options)[0], self.fault.get("info", {})
+
+        def step(self, action):
+            return (*super().step(action)[:4], self.fault.get("info", {}))
+
+        def look(self):
+            return self.fault.get("seen", np.zeros(2, np.float32))
+
+    def made(space, **fault):
+        seen = {key: spaces.Box(0, 1, (len(value),)) for key, value in fault["seen"].items()} if "seen" in fault else {}
+        return lambda index: Masked(space, spaces.Dict(seen) if seen else None, fault)
+
+    two, three = [1, 0], np.array([0, 1, 1])
+    for space, mask, bits in [(multi, [1, 0, 0, 1, 1], 0b11001), (multi, (two, three), 0b11001), (both, {"b": three[1:], "a": (two, three)}, 0b1100111),
+                              (both, {"b": None, "a": (two, three)}, 0b1100111), (nested, (two, {"a": (two, three)}), 0b1100101)]:
+        pair = Pair(made(space, info={"action_mask": mask}), {"metrics": [], "batch": 4})
+        for shown, failures in (pair.begin(), pair.step([0] * len(pair.worker.heads))):
+            assert shown[3] == bits and not failures, (space, mask, bin(shown[3]), failures)
+    # As PettingZoo and RLlib have it: beside what is observed.
+    seen = {"action_mask": np.array([0, 1, 1]), "observation": np.array([0.5])}
+    pair = Pair(made(spaces.Discrete(3), seen=seen), {"metrics": [], "batch": 4})
+    for shown, failures in (pair.begin(), pair.step([1])):
+        assert shown[3] == 0b110 and shown[0].tolist() == [0, 1, 1, 0.5] and not failures, (shown, failures)
+    # What `info` says comes first.
+    pair = Pair(made(spaces.Discrete(3), seen=seen, info={"action_mask": [1, 0, 0]}), {"metrics": [], "batch": 4})
+    assert pair.begin()[0][3] == pair.step([0])[0][3] == 0b001
+    for space, fault, told in [(spaces.Discrete(2), {"seen": seen}, "`action_mask` has 3 entries for 2 choices"),
+                               (both, {"info": {"action_mask": {"b": two}}}, "`action_mask` has no `a`, and the action space has"),
+                               (multi, {"info": {"action_mask": {"b": two}}}, "`action_mask` is a dict, and the action space is MultiDiscrete([2 3])"),
+                               (spaces.Discrete(3), {"seen": {"action_mask": np.zeros(3)}}, "`action_mask` offers no choice of `action`")]:
+        assert refused(made(space, **fault)).startswith(told), (space, fault)
+
+
+def test_arguments_that_do_not_fit_are_told_as_what_is_called():
+    module = types.ModuleType("called_here")
+
+    class Crossing(Toy):
+        def __init__(self, busy):
+            super().__init__()
+
+    def three(config, index, further):
+        return Toy()
+
+    def inside(config):
+        return Crossing()
+
+    for name, make in [("Crossing", Crossing), ("three", three), ("inside", inside)]:
+        setattr(module, name, make)
+    sys.modules["called_here"] = module
+
+    def told(target, config):
+        try:
+            worker.maker(target, config)(0)
+        except worker.FAILURES as error:
+            # Without the frame of this file, which is the worker's elsewhere.
+            return worker.sentence(error.with_traceback(error.__traceback__.tb_next))
+        raise AssertionError(target)
+
+    try:
+        missing = told("called_here:Crossing", {})
+        assert re.search(r"Crossing.__init__\(\) missing 1 required positional argument: 'busy': it gets the keys of `env` as arguments, which has \[\]$", missing), missing
+        assert "unexpected keyword argument 'bsuy'" in told("called_here:Crossing", {"bsuy": 1})
+        further = told("called_here:three", {})
+        assert re.search(r"three\(\) missing 1 required positional argument: 'further': it gets `config` and `index`$", further), further
+        own = told("called_here:inside", {})
+        assert re.search(r"^TypeError: .*Crossing.__init__\(\) missing .* 'busy' \(test_worker.py:\d+\)$", own), own
+        # No line of the worker's own, which is not at fault.
+        assert "worker.py" not in told("CartPole-v1", {"length": 3}), told("CartPole-v1", {"length": 3})
+    finally:
+        del sys.modules["called_here"]
 
 
 def test_an_odd_info_is_named_and_no_line_of_the_log_fails_a_step():
