@@ -13,7 +13,7 @@ mod error;
 mod policy;
 mod run;
 
-pub use action::{ActionSpec, Conditional, EnvSpec, Gate, Head, Mask};
+pub use action::{ActionSpec, COMPUTED, Conditional, EnvSpec, Gate, Head, Mask};
 pub use error::SpecError;
 pub use policy::{EgoAttention, Encoder, HeadCredit, PolicySpec};
 pub use run::{RunSpec, TaskSpec};
@@ -71,9 +71,25 @@ mod tests {
         spec.conditionals[0].allowed[3] = 0;
         assert_eq!(spec.check(), Err(SpecError::Conditional { head: 3, given: 2 }));
         let mut spec = notifier();
+        spec.heads[3].name = "topic".to_owned();
+        assert_eq!(spec.check(), Err(SpecError::SameHead("topic".to_owned())));
+        let mut spec = notifier();
         spec.gate = Some(Gate { head: 1, choice: 0 });
         assert_eq!(spec.check(), Err(SpecError::Gate { head: 1, choice: 0 }));
         assert_eq!(ActionSpec::discrete("a", 65).check(), Err(SpecError::TotalChoices(65)));
+    }
+
+    #[test]
+    fn metrics_that_no_report_could_tell_apart_are_named() {
+        let check = |names: &[&str]| {
+            let metrics = names.iter().map(|&name| name.to_owned()).collect();
+            EnvSpec { obs_dim: 4, actions: notifier(), metrics }.check()
+        };
+        check(&["success", "fuel"]).unwrap();
+        let twice = check(&["success", "fuel", "success"]);
+        assert_eq!(twice, Err(SpecError::SameMetric("success".to_owned())));
+        let computed = check(&["success", "return"]);
+        assert_eq!(computed, Err(SpecError::ComputedMetric("return".to_owned())));
     }
 
     #[test]

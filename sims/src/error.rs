@@ -20,7 +20,7 @@ pub enum TaskError {
     /// What steps the environment, outside of this process, cannot be had.
     #[error(transparent)]
     Outside(Box<dyn std::error::Error + Send + Sync>),
-    /// An action space that is impossible, for instance with too many choices.
-    #[error("the task's action space is impossible")]
-    Actions(#[from] SpecError),
+    /// An action space that is impossible, for instance with too many choices, or metrics that cannot be told apart.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
 }

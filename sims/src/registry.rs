@@ -218,7 +218,7 @@ impl Registry {
             return Err(TaskError::UnknownDomain { domain: task.domain.clone(), known });
         };
         let environment = (entry.builder)(&task.settings)?;
-        environment.spec().actions.check()?;
+        environment.spec().check()?;
         Ok(environment)
     }
 

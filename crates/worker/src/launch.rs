@@ -81,7 +81,7 @@ impl WorkerLaunch {
             return Err(refuse(format!("it steps {found} environments, `world.batch` is {asked}")));
         }
         let env: EnvSpec = hello.world.env_spec(&self.metrics);
-        env.actions.check().map_err(|error| refuse(error.to_string()))?;
+        env.check().map_err(|error| refuse(error.to_string()))?;
         let difference = self.expected.as_ref().and_then(|it| it.difference(&hello.world));
         if let Some(what) = difference {
             return Err(Error::OtherWorld { command, what });

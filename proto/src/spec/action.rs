@@ -5,6 +5,24 @@ use serde::{Deserialize, Serialize};
 use super::error::SpecError;
 use crate::limits;
 
+/// Names of what evaluations compute of rewards, steps and metrics: no metric of a task has one of these.
+pub const COMPUTED: [&str; 14] = [
+    "return",
+    "length",
+    "averted",
+    "harmed",
+    "lead_time",
+    "first_l",
+    "later_l",
+    "per_step_before_hazard",
+    "per_step_after_hazard",
+    "followed_of_initiated",
+    "followed_of_comprehended",
+    "long_rate",
+    "preempted_rate",
+    "overwritten_rate",
+];
+
 /// One categorical part of an action.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Head {
@@ -71,13 +89,16 @@ impl ActionSpec {
     ///
     /// # Errors
     ///
-    /// [`SpecError`] for the first fault that is found: if there are no heads or too many, a head without a choice, too
-    /// many choices in all, a gate that is no choice of the first head, or a conditional that is out of order, has the
+    /// [`SpecError`] for the first fault that is found: if there are no heads or too many, two of one name, a head without a
+    /// choice, too many choices in all, a gate that is no choice of the first head, or a conditional that is out of order, has the
     /// wrong length or leaves no choice.
     pub fn check(&self) -> Result<(), SpecError> {
         let n_heads = self.heads.len();
         if !(1..=limits::MAX_HEADS).contains(&n_heads) {
             return Err(SpecError::Heads { n_heads });
+        }
+        if let Some(name) = repeated(self.heads.iter().map(|head| head.name.as_str())) {
+            return Err(SpecError::SameHead(name.to_owned()));
         }
         if let Some(head) = self.heads.iter().find(|h| !(1..=255).contains(&h.n_choices)) {
             return Err(SpecError::Choices { head: head.name.clone(), n_choices: head.n_choices });
@@ -163,4 +184,36 @@ pub struct EnvSpec {
     pub actions: ActionSpec,
     /// Names of the metrics in an episode's summary, in order; `success` first where there is such a thing.
     pub metrics: Vec<String>,
+}
+
+impl EnvSpec {
+    /// Checks the action space, and that reports can tell the metrics apart.
+    ///
+    /// # Errors
+    ///
+    /// [`SpecError`] as for [`ActionSpec::check`] and [`EnvSpec::check_metrics`].
+    pub fn check(&self) -> Result<(), SpecError> {
+        self.actions.check()?;
+        Self::check_metrics(&self.metrics)
+    }
+
+    /// Checks that no two metrics have one name, and none that of a number which evaluations compute themselves.
+    ///
+    /// # Errors
+    ///
+    /// [`SpecError::SameMetric`] or [`SpecError::ComputedMetric`].
+    pub fn check_metrics(names: &[String]) -> Result<(), SpecError> {
+        if let Some(name) = repeated(names.iter().map(String::as_str)) {
+            return Err(SpecError::SameMetric(name.to_owned()));
+        }
+        match names.iter().find(|name| COMPUTED.contains(&name.as_str())) {
+            Some(name) => Err(SpecError::ComputedMetric(name.clone())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Returns the first name that is there a second time.
+fn repeated<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Option<&'a str> {
+    names.clone().enumerate().find_map(|(i, name)| names.clone().take(i).find(|it| *it == name))
 }

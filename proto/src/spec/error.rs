@@ -13,6 +13,17 @@ pub enum SpecError {
         /// How many there are.
         n_heads: usize,
     },
+    /// Two heads have this name.
+    #[error("two heads of an action are `{0}`; each needs a name of its own")]
+    SameHead(String),
+    /// Two metrics have this name.
+    #[error("two metrics are `{0}`; each needs a name of its own")]
+    SameMetric(String),
+    /// A metric has the name of a number that evaluations compute.
+    #[error(
+        "a metric is `{0}`, which is the name of a number that evaluations compute themselves; give it another name"
+    )]
+    ComputedMetric(String),
     /// A head without a choice, or with too many.
     #[error("head `{head}` has {n_choices} choices; 1 to 255 are possible")]
     Choices {

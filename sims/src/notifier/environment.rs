@@ -122,7 +122,7 @@ impl<D: Domain> NotifierEnv<D> {
         let metrics = METRICS.iter().chain(domain.metric_names()).map(|&name| name.to_owned());
         let (obs_dim, actions) = (session.row_dim(), session.actions().spec());
         let spec = EnvSpec { obs_dim, actions, metrics: metrics.collect() };
-        spec.actions.check()?;
+        spec.check()?;
         check_follow_through(&domain, human, &reasons, &session.actions().messages())?;
         let informs = |topic: &usize| !domain.asks_for_action(*topic);
         let informative = (0..domain.topics().len()).filter(informs).collect();

@@ -288,6 +288,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     use leadtime_proto::TaskSpec;
+    use leadtime_proto::spec::COMPUTED;
 
     use super::*;
     use crate::measure::lead::HAZARDS;
@@ -342,6 +343,23 @@ mod tests {
         for name in used.chain(TITLES.map(|(name, _)| name)) {
             assert!(known.contains(name), "`{name}` is no measure");
         }
+    }
+
+    #[test]
+    fn no_metric_of_a_task_may_have_the_name_of_what_is_computed_here() {
+        let mut metrics: Vec<String> = RATES
+            .iter()
+            .flat_map(|rate| [rate.1, rate.2])
+            .chain(HAZARDS)
+            .chain(["success"])
+            .map(str::to_owned)
+            .collect();
+        metrics.sort();
+        metrics.dedup();
+        let mut computed = known_measures(&metrics);
+        computed.retain(|name| !metrics.contains(name));
+        let refused = COMPUTED.iter().map(|&name| name.to_owned());
+        assert_eq!(BTreeSet::from_iter(computed), refused.collect::<BTreeSet<String>>());
     }
 
     #[test]
