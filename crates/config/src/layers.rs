@@ -346,9 +346,12 @@ fn placed<'a>(
                 .map(|value| placed(value, path, layer, by))
                 .collect::<Result<_, _>>()?,
         ),
-        // JSON, in which actors get their task, has neither.
+        // JSON, in which actors get their task, has none of these.
         DeValue::Float(x) if !x.as_str().parse().is_ok_and(f64::is_finite) => {
             return refuse(x.as_str(), "a finite number");
+        }
+        DeValue::Datetime(date) => {
+            return refuse(&date.to_string(), "all but a date, which is a text in quotes");
         }
         DeValue::Integer(n) if i64::from_str_radix(n.as_str(), n.radix()).is_err() => {
             return refuse(&quoted(n.as_str()), &format!("whole numbers up to {}", i64::MAX));

@@ -379,6 +379,10 @@ fn a_wrong_value_is_reported_by_line_or_option_with_what_is_allowed() {
         ("[world]\nzone_jitter = [1.0, -inf]", ["line 2", "`world.zone_jitter` is -inf; allowed"]),
         ("[world]\n\nzones = [{ x0 = inf }]", ["line 3", "`world.zones.x0` is inf; allowed"]),
         (
+            "domain = \"python\"\n[world]\nenv = { day = [1979-05-27] }",
+            ["line 3", "`world.env.day` is 1979-05-27; allowed: all but a date, which is a text in"],
+        ),
+        (
             "seed = 9223372036854775808",
             ["line 1", "allowed: whole numbers up to 922337203685477580"],
         ),
