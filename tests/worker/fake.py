@@ -92,7 +92,7 @@ def main():
     names = {"heads": ["action"], "metrics": config["metrics"], "versions": {"fake": config["env"].get("version", "1")}}
     send(out, HELLO, struct.pack("<4sHHIBBB", b"LDWK", 1, config["batch"], 4, 1, 2, 0) + json.dumps(names).encode())
     print("a worker prints this", flush=True)
-    envs, n_frames, noise = {}, 0, random.Random(str(time.time_ns()))
+    envs, n_frames, n_shared, noise = {}, 0, 0, random.Random(str(time.time_ns()))
     while True:
         header = incoming.read(5)
         if len(header) < 5:
@@ -150,6 +150,10 @@ def main():
                     rest += struct.pack("<4f", *observation)
                     rest += struct.pack(f"<{len(config['metrics'])}f", *[float(env.steps >= 200)] * len(config["metrics"]))
                     observation = env.reset(seed)
+            if bad == "shares":
+                # What all environments of the process count together.
+                n_shared += 1
+                observation = [float(n_shared), *observation[1:]]
             if bad == "random" and kind == STEP:
                 observation = [noise.random()] * 4
                 env.state = observation

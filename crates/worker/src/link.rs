@@ -217,7 +217,7 @@ impl WorkerLink {
         for (&place, row) in sent.iter().zip(&mut rows) {
             let slot = &mut self.slots[place];
             if !row.has_failed {
-                slot.stepped(row, can_be_put_back);
+                slot.stepped(row, &self.launch.metrics, can_be_put_back);
             } else if slot.progress == StepProgress::SentAgain || !can_be_put_back {
                 slot.fail(failed);
             } else {

@@ -1,10 +1,8 @@
 //! Whether a pickle of an environment is all of it.
 
-use leadtime_numerics::Pcg64;
-
 use crate::link::WorkerLink;
 use crate::settings::SnapshotKind;
-use crate::trial::{SEED, begin, difference, steps};
+use crate::trial::{TriedSlot, difference, steps};
 
 /// Steps before a pickle, and after it.
 const PICKLE_STEPS: usize = 10;
@@ -22,22 +20,21 @@ pub(crate) fn check_pickle(link: &mut WorkerLink) -> Option<String> {
 
 /// Takes the same steps before and after an environment was put back; an error says why they are not the same.
 fn compare(link: &mut WorkerLink, place: usize) -> Result<(), String> {
-    let mut draws = Pcg64::seed_from_u64(SEED);
-    begin(link, place);
-    steps(link, place, PICKLE_STEPS, &mut draws)?;
+    let mut tried = [TriedSlot::begin(link, place, 0)];
+    steps(link, &mut tried, PICKLE_STEPS)?;
     link.pickle(place);
     let slot = link.slot(place);
     if let Some(reason) = &slot.failure {
         return Err(reason.clone());
     }
     let (base, seed) = (slot.base.clone(), slot.seed);
-    let mut same_draws = draws.clone();
-    let first = steps(link, place, PICKLE_STEPS, &mut draws)?;
+    let mut again = tried.clone();
+    let first = steps(link, &mut tried, PICKLE_STEPS)?;
     let slot = link.slot_mut(place);
     slot.begin(seed);
     slot.base = base;
     link.put_back(place);
-    let why = match steps(link, place, PICKLE_STEPS, &mut same_draws) {
+    let why = match steps(link, &mut again, PICKLE_STEPS) {
         Ok(second) => match difference(&first, &second) {
             None => return Ok(()),
             Some((step, what)) => format!("{what} differs {step} steps after it was put back"),

@@ -76,10 +76,12 @@ impl WorkerSlot {
 
     /// Notes what the step that was under way has shown; `row` is exchanged for the one before. Its action is kept where it can be
     /// taken again.
-    pub(crate) fn stepped(&mut self, row: &mut StepRow, keeps_action: bool) {
+    ///
+    /// `metrics`: the names of the row's metrics.
+    pub(crate) fn stepped(&mut self, row: &mut StepRow, metrics: &[String], keeps_action: bool) {
         std::mem::swap(&mut self.row, row);
         self.progress = StepProgress::Shown;
-        self.failure = self.implausible();
+        self.failure = self.implausible(metrics);
         if self.row.end.is_some() {
             self.begin(self.next_seed());
             self.is_ahead = true;
@@ -116,13 +118,15 @@ impl WorkerSlot {
     }
 
     /// Names the first number that cannot be, if there is one.
-    fn implausible(&self) -> Option<String> {
+    fn implausible(&self, metrics: &[String]) -> Option<String> {
         let row = &self.row;
         let Self { seed: EpisodeSeed { env_id, episode, .. }, action, .. } = self;
         let in_end = || {
             row.end?;
-            named("the last observation", &row.last_observation)
-                .or_else(|| named("metric", &row.metrics))
+            named("the last observation", &row.last_observation).or_else(|| {
+                let (name, x) = metrics.iter().zip(&row.metrics).find(|(_, x)| is_odd(**x))?;
+                Some(format!("metric `{name}` is {}", shown(*x)))
+            })
         };
         let reward = || is_odd(row.reward).then(|| format!("the reward is {}", shown(row.reward)));
         let observed = named("observation", &row.observation);
@@ -177,13 +181,17 @@ mod tests {
         let mut slot = slot();
         slot.actions = vec![0; 2 * 39];
         let mut row = StepRow { observation: vec![0.0, 1.0, 2.0, f32::NAN], ..StepRow::default() };
-        slot.stepped(&mut row, true);
+        slot.stepped(&mut row, &[], true);
         let expected =
             "environment 17: observation[3] is nan after action [1, 0] in episode 12, step 40";
         assert_eq!(slot.failure.as_deref(), Some(expected));
         let mut row = StepRow { reward: -2e9, ..StepRow::default() };
-        slot.stepped(&mut row, true);
-        assert!(slot.failure.unwrap().contains("the reward is -2e9 after"));
+        slot.stepped(&mut row, &[], true);
+        assert!(slot.failure.take().unwrap().contains("the reward is -2e9 after"));
+        let end = Some(End::Terminated);
+        let mut row = StepRow { end, metrics: vec![1.0, f32::NAN], ..StepRow::default() };
+        slot.stepped(&mut row, &["success", "fuel"].map(str::to_owned), true);
+        assert!(slot.failure.unwrap().contains("metric `fuel` is nan after"));
     }
 
     #[test]
@@ -197,7 +205,7 @@ mod tests {
         slot.n_before = 3;
         slot.put_back();
         assert!(slot.failure.take().unwrap().ends_with("where episode 12 goes on after 3 steps"));
-        slot.stepped(&mut StepRow { end: Some(End::Terminated), ..odd() }, true);
+        slot.stepped(&mut StepRow { end: Some(End::Terminated), ..odd() }, &[], true);
         assert!(
             slot.failure.unwrap().ends_with("observation[1] is nan at the reset of episode 13")
         );
@@ -206,10 +214,10 @@ mod tests {
     #[test]
     fn an_episode_that_ends_is_followed_by_the_next_one() {
         let mut slot = slot();
-        slot.stepped(&mut StepRow::default(), true);
+        slot.stepped(&mut StepRow::default(), &[], true);
         assert_eq!((slot.n_steps(), slot.is_ahead), (1, false));
         let end = Some(End::Terminated);
-        slot.stepped(&mut StepRow { end, ..StepRow::default() }, true);
+        slot.stepped(&mut StepRow { end, ..StepRow::default() }, &[], true);
         assert_eq!((slot.n_steps(), slot.is_ahead, slot.seed.episode), (0, true, 13));
     }
 
