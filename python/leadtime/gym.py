@@ -60,6 +60,8 @@ def toml(value):
 
 def changes(settings):
     """Writes a table of changes as the program's ``--set`` has them."""
+    if not isinstance(settings, (dict, type(None))):
+        raise ValueError(f"set {settings!r}; allowed: a dict of keys and values, such as {{\"human.reaction_delay\": {{\"fixed\": 3}}}}")
     return [f"{key}={toml(value)}" for key, value in (settings or {}).items()]
 
 

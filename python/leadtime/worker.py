@@ -32,6 +32,7 @@ import sys
 import threading
 import time
 import traceback
+import warnings
 from collections.abc import Mapping
 
 VERSION = 1
@@ -50,6 +51,7 @@ MOST_SHOWN = 80  # Characters of a value in a sentence.
 CLOSING = 1.0  # Seconds that environments have for their `close` when the actor is gone.
 LARGEST = 3e38  # About the largest number of 32 bits; the actor refuses it by name.
 ENGINES = ("Box2D", "mujoco", "ale_py", "pettingzoo", "torch", "jax")  # What computes may decide what is computed.
+COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # With which Gymnasium writes its warnings.
 NONE, TERMINATED, TRUNCATED, DID_FAIL = range(4)
 FAILURES = (Exception, SystemExit)  # Of an environment; a library that parses arguments or gives up calls `sys.exit`.
 
@@ -112,7 +114,7 @@ class LogHandler(logging.Handler):
         if self.n_lines <= LINES_PER_SECOND:
             level = min(max(record.levelno // 10 - 1, 0), 3)
             try:
-                text = as_bytes(self.format(record))
+                text = as_bytes(COLOUR.sub("", self.format(record)))
             except Exception:
                 # As everywhere in Python: a line that cannot be written fails nothing but itself.
                 self.handleError(record)
@@ -135,6 +137,11 @@ def shown(value):
     except Exception:
         text = f"a {type(value).__name__}"
     return text if len(text) <= MOST_SHOWN else text[: MOST_SHOWN - 3] + "..."
+
+
+def warning(message, category, file, line, source=None):
+    """Writes a warning of Python as one line, without the line of the source."""
+    return f"{category.__name__}: {' '.join(str(message).split())} ({os.path.basename(file)}:{line})"
 
 
 def number(value, what):
@@ -714,6 +721,7 @@ def main(arguments):
     logging.getLogger().addHandler(LogHandler(connection))
     logging.getLogger().setLevel(logging.INFO)
     logging.captureWarnings(True)
+    warnings.formatwarning = warning
     try:
         config = json.loads(os.environ["LEADTIME_WORKER_CONFIG"])
         try:

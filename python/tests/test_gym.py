@@ -254,7 +254,8 @@ class Gym(unittest.TestCase):
     def test_settings_are_the_program_s_and_so_are_its_errors(self):
         env = gymnasium.make("leadtime/Lander-v0", set={"human.reaction_delay": {"fixed": 3}, "notifier.history": 2})
         self.assertLess(env.observation_space.shape, gymnasium.make("leadtime/Lander-v0").observation_space.shape)
-        for settings, says in [({"human.reaction_delay": 99}, "0 to 60 steps"), ({"human.delay": 1}, "human.delay")]:
+        for settings, says in [({"human.reaction_delay": 99}, "0 to 60 steps"), ({"human.delay": 1}, "human.delay"),
+                               ("human.reaction_delay=3", "set 'human.reaction_delay=3'; allowed: a dict")]:
             with self.assertRaisesRegex(ValueError, says):
                 gymnasium.make("leadtime/Lander-v0", set=settings)
         with self.assertRaisesRegex(ValueError, "no file or configuration"):

@@ -438,6 +438,14 @@ def test_a_child_of_an_environment_says_nothing_to_the_actor():
         assert end.recv(100) == struct.pack("<IB", 0, worker.ALIVE)
 
 
+def test_a_warning_is_one_line_without_colours():
+    sent = []
+    connection = types.SimpleNamespace(is_ours=lambda: True, send=lambda kind, *parts: sent.append(b"".join(parts)))
+    text = worker.warning(UserWarning("\x1b[33mWARN: it is\nold\x1b[0m"), UserWarning, "/envs/road.py", 3)
+    worker.LogHandler(connection).emit(logging.makeLogRecord({"levelno": logging.WARNING, "msg": text}))
+    assert sent == [b"\x02UserWarning: WARN: it is old (road.py:3)"], sent
+
+
 def test_what_wraps_an_environment_or_is_imported_by_it_is_part_of_its_code():
     with tempfile.TemporaryDirectory() as place:
         for name in ("__init__", "pay"):
