@@ -163,7 +163,8 @@ pub enum EnvDefect {
     Failed { at: StepPlace, reason: String },
     #[error(
         "not deterministic: played again from the same seed in a fresh environment, {0}; draw every random number from \
-         the `EpisodeSeed`, and let nothing depend on hash maps, clocks or globals"
+         the seed of the episode (`EpisodeSeed`; `reset(seed=...)` in Python), and let nothing depend on hash maps, clocks \
+         or globals"
     )]
     NotDeterministic(Divergence),
     #[error(
