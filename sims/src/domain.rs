@@ -257,7 +257,8 @@ pub trait Domain: Send {
         false
     }
 
-    /// Names the domain's own metrics, after `success`.
+    /// Names the domain's own metrics, after `success`: each once, and none as a number that evaluations compute
+    /// ([`COMPUTED`](leadtime_proto::spec::COMPUTED)).
     fn metric_names(&self) -> &'static [&'static str];
 
     /// Writes the domain's own metrics of the episode so far.

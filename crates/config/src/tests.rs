@@ -380,7 +380,10 @@ fn a_wrong_value_is_reported_by_line_or_option_with_what_is_allowed() {
         ("[world]\n\nzones = [{ x0 = inf }]", ["line 3", "`world.zones.x0` is inf; allowed"]),
         (
             "domain = \"python\"\n[world]\nenv = { day = [1979-05-27] }",
-            ["line 3", "`world.env.day` is 1979-05-27; allowed: all but a date, which is a text in"],
+            [
+                "line 3",
+                "`world.env.day` is 1979-05-27; allowed: all but a date, which is a text in",
+            ],
         ),
         (
             "seed = 9223372036854775808",

@@ -1,5 +1,7 @@
 //! What an environment asks of a policy: its factored, conditional action space and which choices a step offers.
 
+use std::collections::BTreeSet;
+
 use serde::{Deserialize, Serialize};
 
 use super::error::SpecError;
@@ -97,8 +99,8 @@ impl ActionSpec {
         if !(1..=limits::MAX_HEADS).contains(&n_heads) {
             return Err(SpecError::Heads { n_heads });
         }
-        if let Some(name) = repeated(self.heads.iter().map(|head| head.name.as_str())) {
-            return Err(SpecError::SameHead(name.to_owned()));
+        if let Some(name) = repeated(self.heads.iter().map(|head| &head.name)) {
+            return Err(SpecError::SameHead(name.clone()));
         }
         if let Some(head) = self.heads.iter().find(|h| !(1..=255).contains(&h.n_choices)) {
             return Err(SpecError::Choices { head: head.name.clone(), n_choices: head.n_choices });
@@ -203,8 +205,8 @@ impl EnvSpec {
     ///
     /// [`SpecError::SameMetric`] or [`SpecError::ComputedMetric`].
     pub fn check_metrics(names: &[String]) -> Result<(), SpecError> {
-        if let Some(name) = repeated(names.iter().map(String::as_str)) {
-            return Err(SpecError::SameMetric(name.to_owned()));
+        if let Some(name) = repeated(names.iter()) {
+            return Err(SpecError::SameMetric(name.clone()));
         }
         match names.iter().find(|name| COMPUTED.contains(&name.as_str())) {
             Some(name) => Err(SpecError::ComputedMetric(name.clone())),
@@ -214,6 +216,7 @@ impl EnvSpec {
 }
 
 /// Returns the first name that is there a second time.
-fn repeated<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Option<&'a str> {
-    names.clone().enumerate().find_map(|(i, name)| names.clone().take(i).find(|it| *it == name))
+fn repeated<'a>(mut names: impl Iterator<Item = &'a String>) -> Option<&'a String> {
+    let mut seen = BTreeSet::new();
+    names.find(|name| !seen.insert(*name))
 }
