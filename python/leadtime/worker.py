@@ -415,7 +415,8 @@ def from_registry(name, arguments):
         try:
             return gymnasium.make(name, disable_env_checker=True, **arguments)
         except gymnasium.error.Error as error:
-            raise Refused(f"{type(error).__name__}: {' '.join(str(error).split())}") from None
+            hint = "" if re.search(r"-v\d+$", name) else f" A function is named with its module, `{name}:make`; an id ends with its version."
+            raise Refused(f"{type(error).__name__}: {' '.join(str(error).split())}{hint}") from None
 
     return make
 
@@ -515,7 +516,8 @@ class Worker:
     def new(self, slot):
         env = self.make(slot)
         if not isinstance(env, self.gymnasium.Env):
-            raise Refused(f"what should make an environment returned {type(env).__name__}, which is no gymnasium.Env")
+            raise Refused(f"what should make an environment returned {type(env).__name__}, which is no gymnasium.Env; it has to make "
+                          "one environment, and is called for each")
         return env
 
     def reset(self, slot, seed):

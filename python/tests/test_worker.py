@@ -174,7 +174,10 @@ def test_what_cannot_be_is_said_in_a_sentence():
     for shape, n in (((0,), 0), ((512, 513, 1), 262656)):
         told = refused(lambda index: Toy(observation_space=spaces.Box(0, 1, shape)))
         assert told == f"an observation has {n} numbers; 1 to 262144 are possible", told
-    assert "no gymnasium.Env" in refused(lambda index: "an environment")
+    told = refused(lambda index: gymnasium.make_vec("CartPole-v1", num_envs=2))
+    assert told.endswith("VectorEnv, which is no gymnasium.Env; it has to make one environment, and is called for each"), told
+    told = refused(worker.maker("my_envs", {}))
+    assert "doesn't exist. A function is named with its module, `my_envs:make`" in told, told
     assert "the observation space is" in refused(lambda index: Toy(observation_space=spaces.Sequence(spaces.Discrete(2))))
     assert "shape (3,), not (2,)" in refused(lambda index: Toy(fault="shape"))
     assert "an observation has dtype <U1, which is no number" in refused(lambda index: Toy(fault="dtype"))
