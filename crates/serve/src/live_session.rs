@@ -301,9 +301,9 @@ impl LiveSession {
         self.latency.record(nanoseconds);
     }
 
-    /// Notes how many messages were never looked at.
+    /// Notes how many further messages were never looked at.
     pub fn note_overwritten(&mut self, n: u64) {
-        self.counts.overwritten = n;
+        self.counts.overwritten += n;
     }
 
     /// Returns whether the session is over: closed, or lost for long.

@@ -557,6 +557,20 @@ fn a_restarted_notifier_goes_on_with_the_same_decisions() {
 }
 
 #[test]
+fn what_was_overwritten_before_a_restart_counts() {
+    let mut bench = Bench::open(true, &json!({}));
+    bench.observe();
+    bench.session.note_overwritten(3);
+    let snapshot = bench.session.snapshot();
+    let mut restarted = Bench::open(true, &json!({}));
+    assert!(restarted.session.restore(snapshot));
+    restarted.session.note_overwritten(2);
+    restarted.session.note_overwritten(1);
+    restarted.until(1_000);
+    assert_eq!(restarted.last_status()["overwritten"], 6);
+}
+
+#[test]
 fn a_late_step_is_counted_and_nobody_is_spoken_to_faster_for_it() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe_from_to(0, 250);

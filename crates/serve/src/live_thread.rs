@@ -333,7 +333,7 @@ fn serve(
         }
     }
     if let Some(arrival) = hosted.port.take() {
-        let n_overwritten = hosted.port.n_overwritten();
+        let n_overwritten = hosted.port.take_overwritten();
         let (session, mut out) = hosted.parts(clock, loudspeaker);
         let (payload, beside, at) = (arrival.payload(), arrival.attachment(), clock.at(arrival.at));
         session.note_overwritten(n_overwritten);

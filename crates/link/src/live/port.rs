@@ -108,7 +108,7 @@ pub(super) fn raw() -> Encoding {
 #[derive(Debug, Default)]
 struct Inbox {
     newest: Mutex<Option<Arrival>>,
-    /// How many were replaced by a newer one.
+    /// How many were replaced by a newer one and not counted yet.
     n_overwritten: AtomicU64,
 }
 
@@ -188,9 +188,9 @@ impl LivePort {
         self.heard.try_recv().ok()
     }
 
-    /// Returns how many observations were never taken: a newer one replaced them, or they were too large.
-    pub fn n_overwritten(&self) -> u64 {
-        self.inbox.n_overwritten.load(Ordering::Relaxed)
+    /// Returns how many observations were replaced by a newer one since the last time, and so never taken.
+    pub fn take_overwritten(&self) -> u64 {
+        self.inbox.n_overwritten.swap(0, Ordering::Relaxed)
     }
 
     /// Publishes an event of what is said.
