@@ -20,6 +20,7 @@
 //! | a gap in the numbers | `missed`; with `clock = "observation"` the steps in between are taken in silence, on what was seen last |
 //! | the newest is older than `stale_after` | an utterance is cut unless it is understood; nothing new starts |
 //! | older than `lost_after`, or the client gone | silence; the past is kept for 30 s; the next observation goes on |
+//! | nothing for ten minutes | the session is closed and says so; its kept state stays |
 //! | `end`, or another `episode` | the utterance is cut, the past forgotten |
 //! | what cannot be used | refused and reported; 16 in a row end the session |
 //! | a number three widths outside of its range | taken, `strange`, reported once per number |
@@ -55,7 +56,7 @@ use crate::working_policy::{LiveDecider, WorkingPolicy};
 pub const MAX_REFUSED: u32 = 16;
 /// How long the past of a lost client is kept, in nanoseconds.
 const KEPT: u64 = 30_000_000_000;
-/// After how long a lost client's session is over, in nanoseconds.
+/// After how long a session is over to which nothing comes, in nanoseconds.
 const FORGOTTEN: u64 = 600_000_000_000;
 /// A millisecond, in nanoseconds.
 const MILLISECOND: u64 = 1_000_000;
@@ -306,15 +307,15 @@ impl LiveSession {
         self.counts.overwritten += n;
     }
 
-    /// Returns whether the session is over: closed, or lost for long.
-    pub fn is_over(&self, now: u64) -> bool {
+    /// Returns why the session is over, `None` if it goes on. One to which nothing has come for long is closed first.
+    pub fn end(&mut self, now: u64, out: &mut impl SayTo) -> Option<&Silence> {
         let quiet_since = self.newest_at.map_or(self.since, |at| at.max(self.since));
         let is_quiet = now.saturating_sub(quiet_since) > FORGOTTEN && self.robot.is_none();
-        match self.state {
-            LiveState::Closed => true,
-            LiveState::Waiting | LiveState::Lost | LiveState::Ended => is_quiet,
-            LiveState::Silent | LiveState::Speaking | LiveState::Mute | LiveState::Stale => false,
+        let may_end = matches!(self.state, LiveState::Waiting | LiveState::Lost | LiveState::Ended);
+        if is_quiet && may_end {
+            self.close(now, Silence::Forgotten, out);
         }
+        (self.state == LiveState::Closed).then_some(&self.why)
     }
 
     /// Returns when [`LiveSession::tick`] has something to do.
@@ -450,10 +451,7 @@ impl LiveSession {
         let is_stepped = self.plan.clock == StepClock::Observation;
         // A simulator's time is its own affair.
         let delay = if is_stepped { 0 } else { self.travel.delay(at, head.t) };
-        // A restored session waits as a lost one does: the past ages all the same.
-        let is_quiet = matches!(self.state, LiveState::Lost | LiveState::Waiting);
-        let lost_for = if is_quiet { now.saturating_sub(self.since) } else { 0 };
-        let is_new = !self.is_begun || head.episode != self.episode || lost_for > KEPT;
+        let is_new = !self.is_begun || head.episode != self.episode || self.is_past_over(now);
         let goes_on = !is_new && !matches!(self.state, LiveState::Ended);
         if goes_on && is_stepped {
             (0..gap.min(MAX_GAP)).for_each(|_| self.pass(now, out));
@@ -482,6 +480,12 @@ impl LiveSession {
         } else {
             self.release(true, out);
         }
+    }
+
+    /// Returns whether the past is too long ago to go on from. Who was restored waits as one who was lost: it ages all the same.
+    fn is_past_over(&self, now: u64) -> bool {
+        let is_quiet = matches!(self.state, LiveState::Lost | LiveState::Waiting);
+        is_quiet && now.saturating_sub(self.since) > KEPT
     }
 
     fn look_for_strange_numbers(&mut self) {
@@ -939,7 +943,7 @@ impl LiveSession {
     }
 
     /// Returns everything that the future depends on but the time.
-    pub fn snapshot(&self) -> LiveSnapshot {
+    pub fn snapshot(&self, now: u64) -> LiveSnapshot {
         LiveSnapshot {
             session: self.notifier.state(),
             turns: self.phrases.turns(),
@@ -949,7 +953,7 @@ impl LiveSession {
             step: self.step,
             last_seq: self.last_seq,
             last_t: self.last_t,
-            is_begun: self.is_begun,
+            is_begun: self.is_begun && !self.is_past_over(now),
             has_ended: self.state == LiveState::Ended,
             last_utterance: self.utterance.number,
             counts: self.counts,

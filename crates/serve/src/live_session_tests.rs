@@ -366,11 +366,36 @@ fn unusable_observations_are_reported_and_sixteen_in_a_row_end_the_session() {
     assert_eq!(bench.events().last(), Some(&SayEvent::Cut));
     let why = bench.last_status()["why"].as_str().unwrap().to_owned();
     assert!(why.starts_with("16 messages in a row could not be used; open a new session"), "{why}");
-    assert!(bench.session.is_over(bench.told.now));
+    assert!(bench.session.end(bench.told.now, &mut bench.told).is_some());
     let n = bench.told.says.len();
     bench.observe();
     bench.until(60_000);
     assert_eq!(bench.told.says.len(), n);
+}
+
+#[test]
+fn a_session_to_which_nothing_comes_for_ten_minutes_says_that_it_is_closed() {
+    let ended = ObservationHead { seq: 1, t: 0.0, episode: 0, end: true };
+    let begun = ObservationHead { end: false, ..ended };
+    for (sent, state) in [
+        (None, LiveState::Waiting),
+        (Some(begun), LiveState::Lost),
+        (Some(ended), LiveState::Ended),
+    ] {
+        let mut bench = Bench::open(true, &json!({}));
+        if let Some(head) = &sent {
+            bench.send(head);
+        }
+        bench.until(600_000);
+        assert_eq!(bench.session.end(bench.told.now, &mut bench.told), None);
+        assert_eq!(bench.state(), state);
+        bench.until(602_000);
+        let why = bench.session.end(bench.told.now, &mut bench.told);
+        assert_eq!(why, Some(&Silence::Forgotten), "{state:?}");
+        assert_eq!(bench.last_status()["state"], "closed");
+        let why = "nothing has come for ten minutes; open a new session";
+        assert_eq!(bench.last_status()["why"], why);
+    }
 }
 
 #[test]
@@ -522,7 +547,7 @@ fn a_restarted_notifier_goes_on_with_the_same_decisions() {
     }
     bench.session.cut(bench.told.now, &mut bench.told);
     bench.session.release(true, &mut bench.told);
-    let snapshot = bench.session.snapshot();
+    let snapshot = bench.session.snapshot(bench.told.now);
     let mut restarted = Bench::open(true, &question);
     assert!(restarted.session.restore(snapshot));
     restarted.seq = bench.seq;
@@ -539,19 +564,19 @@ fn a_restarted_notifier_goes_on_with_the_same_decisions() {
     assert!(first.1.utterance > bench.told.says[n - 1].1.utterance);
     // Too late, only the numbers go on.
     let mut late = Bench::open(true, &question);
-    assert!(late.session.restore(bench.session.snapshot()));
+    assert!(late.session.restore(bench.session.snapshot(bench.told.now)));
     late.session.forget();
     late.seq = bench.seq;
     late.observe();
     assert_eq!((late.told.says[0].1.step, late.session.last_seq()), (0, bench.seq + 1));
     // A client that comes back long after the restart finds nothing of the past either.
     let mut slow = Bench::open(true, &question);
-    assert!(slow.session.restore(bench.session.snapshot()));
+    assert!(slow.session.restore(bench.session.snapshot(bench.told.now)));
     slow.seq = bench.seq;
     slow.until(31_000);
     slow.observe();
     assert_eq!((slow.told.says[0].1.step, slow.session.last_seq()), (0, bench.seq + 1));
-    let mut other = bench.session.snapshot();
+    let mut other = bench.session.snapshot(bench.told.now);
     other.recurrent.push(0.0);
     assert!(!restarted.session.restore(other));
 }
@@ -561,13 +586,29 @@ fn what_was_overwritten_before_a_restart_counts() {
     let mut bench = Bench::open(true, &json!({}));
     bench.observe();
     bench.session.note_overwritten(3);
-    let snapshot = bench.session.snapshot();
+    let snapshot = bench.session.snapshot(bench.told.now);
     let mut restarted = Bench::open(true, &json!({}));
     assert!(restarted.session.restore(snapshot));
     restarted.session.note_overwritten(2);
     restarted.session.note_overwritten(1);
     restarted.until(1_000);
     assert_eq!(restarted.last_status()["overwritten"], 6);
+}
+
+#[test]
+fn a_client_that_was_lost_for_long_is_kept_without_its_past() {
+    let mut bench = Bench::open(true, &json!({}));
+    bench.observe_from_to(0, 500);
+    for (ms, goes_on) in [(20_000, true), (60_000, false)] {
+        bench.until(ms);
+        assert_eq!(bench.state(), LiveState::Lost);
+        let mut restarted = Bench::open(true, &json!({}));
+        assert!(restarted.session.restore(bench.session.snapshot(bench.told.now)));
+        restarted.seq = bench.seq;
+        restarted.until(1_000);
+        restarted.observe();
+        assert_eq!(restarted.session.step_of_episode() > 0, goes_on, "after {ms} ms");
+    }
 }
 
 #[test]
@@ -705,7 +746,7 @@ fn a_robot_that_cannot_ask_again_is_never_given_up() {
     }
     bench.until(3_000);
     assert_eq!(bench.state(), LiveState::Lost);
-    assert!(!bench.session.is_over(OPENED + 3_600_000 * MS));
+    assert_eq!(bench.session.end(OPENED + 3_600_000 * MS, &mut bench.told), None);
     let n_said = bench.told.says.len();
     bench.until(4_000);
     assert_eq!(bench.told.says.len(), n_said, "nothing is said to a robot that is lost");

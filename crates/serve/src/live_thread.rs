@@ -55,8 +55,8 @@ pub(crate) enum ThreadReport {
         /// How it could go on in another process.
         snapshot: Box<LiveSnapshot>,
     },
-    /// A session is over: closed, or its client was lost for long.
-    Over { client: ClientName, id: String, is_closed: bool },
+    /// A session is over, for this reason.
+    Over { client: ClientName, id: String, why: Silence },
 }
 
 /// A session with its client.
@@ -258,16 +258,14 @@ impl Loop {
     }
 
     fn report(&mut self) {
-        let now = self.clock.now();
-        let reports = &self.reports;
-        self.hosted.retain(|hosted| {
-            if !hosted.session.is_over(now) {
-                return true;
-            }
+        let (now, clock) = (self.clock.now(), self.clock);
+        let (reports, loudspeaker) = (&self.reports, self.loudspeaker.as_ref());
+        self.hosted.retain_mut(|hosted| {
+            let (session, mut out) = hosted.parts(clock, loudspeaker);
+            let Some(why) = session.end(now, &mut out).cloned() else { return true };
             let (client, id) = (hosted.client.clone(), hosted.session.id().to_owned());
             // Without room it is reported at the next look: nothing else frees the session's place.
-            let is_closed = hosted.session.state() == LiveState::Closed;
-            reports.try_send(ThreadReport::Over { client, id, is_closed }).is_err()
+            reports.try_send(ThreadReport::Over { client, id, why }).is_err()
         });
         if now >= self.snapshots_due {
             self.snapshots_due = now + SNAPSHOT_EVERY;
@@ -283,7 +281,7 @@ impl Loop {
             now,
             state: hosted.session.state(),
             refusals: (n_refused, reason.to_owned()),
-            snapshot: Box::new(hosted.session.snapshot()),
+            snapshot: Box::new(hosted.session.snapshot(now)),
         };
         // A lost report does not matter: the next one follows within a second.
         drop(self.reports.try_send(report));

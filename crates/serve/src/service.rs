@@ -511,11 +511,12 @@ impl LiveService {
 
     fn note(&mut self, report: ThreadReport) {
         match report {
-            ThreadReport::Over { client, id, is_closed } => {
+            ThreadReport::Over { client, id, why } => {
                 if self.open.get(&client).is_some_and(|registered| registered.id == id) {
                     self.open.remove(&client);
-                    info!(%client, session = id, "a session is over");
-                    if is_closed {
+                    info!(%client, session = id, %why, "a session is over");
+                    // Who said nothing for long may come back: nothing in its state would end the session again.
+                    if why != Silence::Forgotten {
                         self.forget(&client);
                     }
                 }
@@ -551,9 +552,12 @@ impl LiveService {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Mutex;
+
     use leadtime_link::live::LiveClientLink;
     use leadtime_link::{ConnectSettings, ListenSettings};
     use leadtime_proto::ServiceName;
+    use serde_json::Value;
 
     use super::*;
     use crate::client::{ClientSettings, LiveClient};
@@ -584,6 +588,53 @@ mod tests {
         }
     }
 
+    /// Keeps states in memory.
+    #[derive(Debug, Default)]
+    struct MemoryStore(Mutex<BTreeMap<ClientName, Vec<u8>>>);
+
+    impl StateStore for MemoryStore {
+        fn keep(&self, client: &ClientName, state: &[u8]) -> std::io::Result<()> {
+            self.0.lock().unwrap().insert(client.clone(), state.to_vec());
+            Ok(())
+        }
+
+        fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
+            self.0.lock().unwrap().get(client).cloned()
+        }
+
+        fn forget(&self, client: &ClientName) -> std::io::Result<()> {
+            self.0.lock().unwrap().remove(client);
+            Ok(())
+        }
+    }
+
+    /// Prepares a notifier for two clients that keeps its states there.
+    async fn prepared(store: Arc<dyn StateStore>) -> LiveService {
+        let own = Incarnation(7);
+        let settings = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
+        let service = ServiceName::new("n").unwrap();
+        let (link, events) = LiveServiceLink::open(&settings, &service, own).await.unwrap();
+        let settings = ServiceSettings {
+            max_sessions: 2,
+            seed: 1,
+            spins: false,
+            store: Some(store),
+            loudspeaker: None,
+            unix: 0,
+        };
+        LiveService::new(policy("lander", None), settings, link, events, own).unwrap()
+    }
+
+    /// Opens a session; returns its name, or the sentence that says no.
+    fn opened(notifier: &mut LiveService, client: &str) -> Result<String, String> {
+        let question = br#"{"protocol":1,"domain":"lander","incarnation":"0000000000000003"}"#;
+        let client = ClientName::new(client).unwrap();
+        let answer = notifier.open_session(&client, question.to_vec());
+        let answer = answer.map_err(|refusal| refusal.to_string())?;
+        let answer: Value = serde_json::from_slice(&answer).unwrap();
+        Ok(answer["session"].as_str().unwrap().to_owned())
+    }
+
     fn asked(client: &str) -> ClientSettings {
         ClientSettings {
             service: ServiceName::new("n").unwrap(),
@@ -602,22 +653,8 @@ mod tests {
     async fn a_disk_that_hangs_keeps_no_client_waiting() {
         let (hangs, hanging) = flume::bounded(1);
         let (let_go, go) = flume::bounded::<()>(1);
-        let store: Arc<dyn StateStore> = Arc::new(HangingStore { hangs, go });
-        let own = Incarnation(7);
-        let settings = ListenSettings::new(vec!["tcp/127.0.0.1:0".parse().unwrap()]);
-        let service = ServiceName::new("n").unwrap();
-        let (link, events) = LiveServiceLink::open(&settings, &service, own).await.unwrap();
-        let endpoint = link.locators()[0].parse().unwrap();
-        let settings = ServiceSettings {
-            max_sessions: 2,
-            seed: 1,
-            spins: false,
-            store: Some(store),
-            loudspeaker: None,
-            unix: 0,
-        };
-        let notifier =
-            LiveService::new(policy("lander", None), settings, link, events, own).unwrap();
+        let notifier = prepared(Arc::new(HangingStore { hangs, go })).await;
+        let endpoint = notifier.link.locators()[0].parse().unwrap();
         let (stop, stopped) = flume::bounded::<()>(1);
         let runtime = tokio::runtime::Handle::current();
         let work = tokio::task::spawn_blocking(move || {
@@ -632,6 +669,24 @@ mod tests {
         clients.close().await.unwrap();
         drop((let_go, stop));
         work.await.unwrap().unwrap();
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_client_that_was_quiet_for_long_finds_its_session_and_one_that_was_closed_does_not() {
+        let mut notifier = prepared(Arc::new(MemoryStore::default())).await;
+        let id = opened(&mut notifier, "car-1").unwrap();
+        // Within a second its thread reports a state, which is kept.
+        let report = notifier.reports.recv_async().await.unwrap();
+        notifier.note(report);
+        let client = ClientName::new("car-1").unwrap();
+        let over = |why| ThreadReport::Over { client: client.clone(), id: id.clone(), why };
+        notifier.note(over(Silence::Forgotten));
+        assert_eq!(opened(&mut notifier, "car-1").unwrap(), id);
+        notifier.note(over(Silence::Refused(16, "noise".to_owned())));
+        assert_ne!(opened(&mut notifier, "car-1").unwrap(), id);
+        let LiveService { threads, link, .. } = notifier;
+        threads.into_iter().for_each(LiveThread::stop);
+        link.close().await.unwrap();
     }
 
     #[test]
