@@ -152,7 +152,7 @@ fn a_client_that_is_not_let_in_is_told_why() {
     other.open(&json!({})).unwrap();
     let third = Client::connect(&place, "car-3", 4);
     let told = third.open(&json!({})).unwrap_err();
-    assert_eq!(told, "2 sessions are open already; --max-sessions allows no more");
+    assert_eq!(told, "no place is free: --max-sessions allows 2 sessions");
     // The first one goes, and its name is free.
     drop(first);
     wait_until("the name is free", PATIENCE, || second.open(&json!({})).is_ok());

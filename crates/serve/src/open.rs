@@ -1,6 +1,7 @@
 //! What a client asks for a session with, and what it is answered.
 
 use leadtime_proto::Incarnation;
+use leadtime_proto::phrase::counted;
 use leadtime_proto::text::quoted;
 use leadtime_sims::{Fact, Quantity};
 use leadtime_voice::VoiceBook;
@@ -155,8 +156,12 @@ pub enum OpenRefusal {
     Setting { key: &'static str, given: String, allowed: String },
     #[error("a client named `{0}` is here already; choose another name, or wait until it is gone")]
     Taken(String),
-    #[error("{0} sessions are open already; --max-sessions allows no more")]
+    #[error("no place is free: --max-sessions allows {}", counted(.0, "session"))]
     Full(usize),
+    #[error("no place is free: the loudspeaker of --play speaks to one client")]
+    OneLoudspeaker,
+    #[error("the notifier has too much to do; ask again")]
+    Busy,
     #[error("the session could not be opened: {0}")]
     Network(leadtime_link::Error),
 }

@@ -328,7 +328,10 @@ impl LiveService {
             self.open.remove(client);
         }
         if self.open.len() >= self.settings.max_sessions && !self.make_room() {
-            return Err(OpenRefusal::Full(self.open.len()));
+            // With a loudspeaker the command line has no other limit.
+            let has_loudspeaker = self.settings.loudspeaker.is_some();
+            let full = OpenRefusal::Full(self.settings.max_sessions);
+            return Err(if has_loudspeaker { OpenRefusal::OneLoudspeaker } else { full });
         }
         self.host(client, question, &plan, None)
     }
@@ -387,7 +390,7 @@ impl LiveService {
             last_seq: told,
         };
         if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
-            return Err(OpenRefusal::Full(self.open.len()));
+            return Err(OpenRefusal::Busy);
         }
         let state = LiveState::Waiting;
         let registered = Registered {
@@ -625,6 +628,11 @@ mod tests {
         LiveService::new(policy("lander", None), settings, link, events, own).unwrap()
     }
 
+    async fn ended(notifier: LiveService) {
+        notifier.threads.into_iter().for_each(LiveThread::stop);
+        notifier.link.close().await.unwrap();
+    }
+
     /// Opens a session; returns its name, or the sentence that says no.
     fn opened(notifier: &mut LiveService, client: &str) -> Result<String, String> {
         let question = br#"{"protocol":1,"domain":"lander","incarnation":"0000000000000003"}"#;
@@ -684,9 +692,28 @@ mod tests {
         assert_eq!(opened(&mut notifier, "car-1").unwrap(), id);
         notifier.note(over(Silence::Refused(16, "noise".to_owned())));
         assert_ne!(opened(&mut notifier, "car-1").unwrap(), id);
-        let LiveService { threads, link, .. } = notifier;
-        threads.into_iter().for_each(LiveThread::stop);
-        link.close().await.unwrap();
+        ended(notifier).await;
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn who_finds_no_place_is_told_which_option_allows_no_more() {
+        let player = Loudspeaker::start(Some("cat > /dev/null"), 8_000).unwrap();
+        for (max_sessions, loudspeaker, told) in [
+            (2, None, "no place is free: --max-sessions allows 2 sessions"),
+            (1, None, "no place is free: --max-sessions allows 1 session"),
+            (1, Some(player), "no place is free: the loudspeaker of --play speaks to one client"),
+        ] {
+            let mut notifier = prepared(Arc::new(MemoryStore::default())).await;
+            let settings = &mut notifier.settings;
+            (settings.max_sessions, settings.loudspeaker) = (max_sessions, loudspeaker);
+            for client in ["car-1", "car-2"].into_iter().take(max_sessions) {
+                opened(&mut notifier, client).unwrap();
+                let here = LiveEvent::Here(ClientName::new(client).unwrap(), Incarnation(3));
+                notifier.take(here);
+            }
+            assert_eq!(opened(&mut notifier, "car-3").unwrap_err(), told);
+            ended(notifier).await;
+        }
     }
 
     #[test]
