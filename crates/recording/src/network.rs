@@ -3,6 +3,7 @@
 use std::time::{Duration, Instant};
 
 use leadtime_link::live::{ClientPort, LiveMessage};
+use leadtime_proto::Incarnation;
 use leadtime_serve::{ClientError, HeardSay, SessionNote, TakenInput};
 use serde_json::Value;
 
@@ -17,12 +18,14 @@ const ANSWER: Duration = Duration::from_secs(10);
 #[derive(Debug)]
 pub struct SessionOverNetwork {
     port: ClientPort,
+    /// The start of the notifier that answered last, if it says it.
+    service_start: Option<Incarnation>,
 }
 
 impl SessionOverNetwork {
     /// Feeds sessions that are opened at this port.
     pub fn new(port: ClientPort) -> Self {
-        Self { port }
+        Self { port, service_start: None }
     }
 
     /// Opens the recorded session again, the `n`-th time at this port; returns the answer.
@@ -30,14 +33,16 @@ impl SessionOverNetwork {
     /// # Errors
     ///
     /// [`Error::Client`] if it is refused; the sentence is the notifier's own.
-    pub async fn open(&self, note: &SessionNote, n: usize) -> Result<Value, Error> {
+    pub async fn open(&mut self, note: &SessionNote, n: usize) -> Result<Value, Error> {
         let mut question = note.question.clone();
         question["seed"] = note.answer["seed"].clone();
         question["incarnation"] = self.port.incarnation().hex().into();
         // The same question would be answered with the session that is there; what differs begins anew.
         let question = question.to_string() + &" ".repeat(n);
         let answer = self.port.ask(question.into_bytes()).await.map_err(ClientError::Link)?;
-        Ok(serde_json::from_slice(&answer).map_err(ClientError::Answer)?)
+        let answer: Value = serde_json::from_slice(&answer).map_err(ClientError::Answer)?;
+        self.service_start = answer["start"].as_str().and_then(Incarnation::from_hex);
+        Ok(answer)
     }
 }
 
@@ -75,8 +80,12 @@ impl ReplayTarget for SessionOverNetwork {
                 Some(LiveMessage::Status(bytes)) => {
                     status = String::from_utf8_lossy(&bytes).into_owned();
                 }
-                Some(LiveMessage::ServiceHere(_)) => {}
-                Some(LiveMessage::ServiceGone(_)) => return Err(ClientError::Gone.into()),
+                Some(LiveMessage::ServiceGone(start))
+                    if self.service_start.is_none_or(|own| own == start) =>
+                {
+                    return Err(ClientError::Gone.into());
+                }
+                Some(LiveMessage::ServiceHere(_) | LiveMessage::ServiceGone(_)) => {}
             }
         }
     }

@@ -66,6 +66,8 @@ pub struct LiveClient {
     port: ClientPort,
     settings: ClientSettings,
     answer: Value,
+    /// The start of the notifier that answered; `None` of an earlier release, which does not say it.
+    service_start: Option<Incarnation>,
     started: Instant,
     seq: u64,
     facts: Option<Vec<String>>,
@@ -100,9 +102,10 @@ impl LiveClient {
         let answer = port.ask(question.to_string().into_bytes()).await?;
         let answer: Value = serde_json::from_slice(&answer).map_err(ClientError::Answer)?;
         let seq = answer["last_seq"].as_u64().unwrap_or(0);
+        let service_start = answer["start"].as_str().and_then(Incarnation::from_hex);
         let started = Instant::now();
         let (facts, status) = (None, String::new());
-        Ok(Self { port, settings, answer, started, seq, facts, status })
+        Ok(Self { port, settings, answer, service_start, started, seq, facts, status })
     }
 
     /// Returns the notifier's answer.
@@ -145,7 +148,7 @@ impl LiveClient {
     ///
     /// # Errors
     ///
-    /// [`ClientError::Gone`] if the notifier is not there any more.
+    /// [`ClientError::Gone`] if the notifier that answered is not there any more.
     pub fn next(&mut self, timeout: Duration) -> Result<Option<HeardSay>, ClientError> {
         let deadline = Instant::now() + timeout;
         loop {
@@ -160,8 +163,13 @@ impl LiveClient {
                 Some(LiveMessage::Status(bytes)) => {
                     self.status = String::from_utf8_lossy(&bytes).into_owned();
                 }
-                Some(LiveMessage::ServiceHere(_)) => {}
-                Some(LiveMessage::ServiceGone(_)) => return Err(ClientError::Gone),
+                // The token of one that was killed may go after the next one has answered.
+                Some(LiveMessage::ServiceGone(start))
+                    if self.service_start.is_none_or(|own| own == start) =>
+                {
+                    return Err(ClientError::Gone);
+                }
+                Some(LiveMessage::ServiceHere(_) | LiveMessage::ServiceGone(_)) => {}
             }
         }
     }

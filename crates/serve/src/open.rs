@@ -335,6 +335,8 @@ impl From<&VoiceBook> for VoiceNote {
 pub struct SessionAnswer<'a> {
     /// Name of the session, which its statuses and records repeat.
     pub session: &'a str,
+    /// The notifier's start, as its token has it: once that is gone, so is the session.
+    pub start: String,
     /// The version of the messages.
     pub protocol: u32,
     /// The task, by its domain.
@@ -379,6 +381,7 @@ impl<'a> SessionAnswer<'a> {
     /// Puts the answer together.
     pub fn new(
         session: &'a str,
+        start: Incarnation,
         plan: &'a SessionPlan,
         policy: &'a WorkingPolicy,
         last_seq: u64,
@@ -388,6 +391,7 @@ impl<'a> SessionAnswer<'a> {
             if is_whole { (policy.observation(), policy.facts()) } else { Default::default() };
         Self {
             session,
+            start: start.hex(),
             protocol: LIVE_PROTOCOL,
             domain: &policy.domain,
             obs_dim: policy.obs_dim(),
@@ -480,7 +484,7 @@ mod tests {
                 json!({"protocol": 1, "domain": domain, "encoding": "binary", "person": {}});
             let plan =
                 SessionPlan::read(question.to_string().as_bytes(), &policy, u64::MAX).unwrap();
-            let answer = SessionAnswer::new("0123abcd", &plan, &policy, u64::MAX);
+            let answer = SessionAnswer::new("0123abcd", Incarnation(1), &plan, &policy, u64::MAX);
             let answer = serde_json::to_string(&answer).unwrap();
             assert!(answer.len() < MAX_BRIEF, "{domain}: {} bytes", answer.len());
             assert!(answer.contains(r#""name":"pipe""#) && !answer.contains("--key"), "{answer}");

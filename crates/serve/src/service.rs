@@ -417,7 +417,7 @@ impl LiveService {
         plan: &SessionPlan,
         last_seq: u64,
     ) -> Result<Vec<u8>, serde_json::Error> {
-        serde_json::to_vec(&SessionAnswer::new(id, plan, &self.policy, last_seq))
+        serde_json::to_vec(&SessionAnswer::new(id, self.own, plan, &self.policy, last_seq))
     }
 
     /// Ends the session of a client that is not there any more; `false` if all are. One that says something is the last to go.
@@ -556,14 +556,16 @@ impl LiveService {
 #[cfg(test)]
 mod tests {
     use std::sync::Mutex;
+    use std::time::Duration;
 
-    use leadtime_link::live::LiveClientLink;
-    use leadtime_link::{ConnectSettings, ListenSettings};
+    use leadtime_link::live::{LiveClientLink, LiveMessage};
+    use leadtime_link::{ConnectSettings, Endpoint, ListenSettings};
     use leadtime_proto::ServiceName;
     use serde_json::Value;
+    use tokio::task::JoinHandle;
 
     use super::*;
-    use crate::client::{ClientSettings, LiveClient};
+    use crate::client::{ClientError, ClientSettings, LiveClient};
     use crate::open::StepClock;
     use crate::test_support::policy;
 
@@ -628,6 +630,18 @@ mod tests {
         LiveService::new(policy("lander", None), settings, link, events, own).unwrap()
     }
 
+    /// Puts a notifier to work until the sender is dropped.
+    fn at_work(
+        notifier: LiveService,
+    ) -> (flume::Sender<()>, JoinHandle<leadtime_link::Result<()>>) {
+        let (stop, stopped) = flume::bounded::<()>(1);
+        let runtime = tokio::runtime::Handle::current();
+        let work = tokio::task::spawn_blocking(move || {
+            runtime.block_on(notifier.run(async move { stopped.recv_async().await.unwrap_or(()) }))
+        });
+        (stop, work)
+    }
+
     async fn ended(notifier: LiveService) {
         notifier.threads.into_iter().for_each(LiveThread::stop);
         notifier.link.close().await.unwrap();
@@ -663,11 +677,7 @@ mod tests {
         let (let_go, go) = flume::bounded::<()>(1);
         let notifier = prepared(Arc::new(HangingStore { hangs, go })).await;
         let endpoint = notifier.link.locators()[0].parse().unwrap();
-        let (stop, stopped) = flume::bounded::<()>(1);
-        let runtime = tokio::runtime::Handle::current();
-        let work = tokio::task::spawn_blocking(move || {
-            runtime.block_on(notifier.run(async move { stopped.recv_async().await.unwrap_or(()) }))
-        });
+        let (stop, work) = at_work(notifier);
         let clients = LiveClientLink::open(&ConnectSettings::new(vec![endpoint])).await.unwrap();
         let first = LiveClient::open(&clients, asked("first")).await.unwrap();
         hanging.recv_async().await.unwrap();
@@ -714,6 +724,33 @@ mod tests {
             assert_eq!(opened(&mut notifier, "car-3").unwrap_err(), told);
             ended(notifier).await;
         }
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_client_is_left_by_the_start_that_answered_and_by_no_other() {
+        const PATIENCE: Duration = Duration::from_secs(20);
+        let notifier = prepared(Arc::new(MemoryStore::default())).await;
+        let endpoint: Endpoint = notifier.link.locators()[0].parse().unwrap();
+        let (stop, work) = at_work(notifier);
+        let settings = ConnectSettings::new(vec![endpoint.clone()]);
+        let clients = LiveClientLink::open(&settings).await.unwrap();
+        let mut client = LiveClient::open(&clients, asked("car-1")).await.unwrap();
+        // One that was killed before, as it looks to a client: its token goes late.
+        let (service, other) = (ServiceName::new("n").unwrap(), Incarnation(8));
+        let witness = ClientName::new("car-2").unwrap();
+        let witness = clients.port(&service, &witness, Incarnation(4)).unwrap();
+        let settings = ListenSettings { connect: vec![endpoint], ..ListenSettings::new(vec![]) };
+        let (killed, _events) = LiveServiceLink::open(&settings, &service, other).await.unwrap();
+        killed.close().await.unwrap();
+        let mut told = std::iter::from_fn(|| witness.next(PATIENCE));
+        assert!(told.any(|message| message == LiveMessage::ServiceGone(other)));
+        assert!(client.step(&[0.0; 8], 0, PATIENCE).unwrap().last().unwrap().last);
+
+        drop(stop);
+        work.await.unwrap().unwrap();
+        let mut heard = std::iter::from_fn(|| client.next(PATIENCE).transpose());
+        assert!(heard.any(|heard| matches!(heard, Err(ClientError::Gone))));
+        clients.close().await.unwrap();
     }
 
     #[test]
