@@ -28,6 +28,8 @@ use crate::working_policy::{LiveDecider, PolicyOrigin, WorkingPolicy};
 pub const MAX_SESSIONS: usize = 64;
 /// The most reports of threads that wait.
 const MAX_REPORTS: usize = 1_024;
+/// How often the states of clients that stay away are looked for, in nanoseconds.
+const SWEEP_EVERY: u64 = 3_600_000_000_000;
 /// Between two lines in the log about the refused observations of one session, in nanoseconds.
 const REFUSALS_PAUSE: u64 = 60_000_000_000;
 
@@ -166,6 +168,7 @@ pub struct LiveService {
     reports: flume::Receiver<ThreadReport>,
     /// What keeps the states of sessions, if they are kept.
     keeper: Option<StateKeeper>,
+    sweep_due: u64,
     /// The checksum over the words.
     words: u32,
 }
@@ -210,6 +213,7 @@ impl LiveService {
             present: BTreeMap::new(),
             reports,
             keeper: keeper.map_err(ServiceError::Thread)?,
+            sweep_due: 0,
             words,
         })
     }
@@ -234,7 +238,10 @@ impl LiveService {
                     Ok(report) => self.note(report),
                     Err(_ended) => break,
                 },
-                _ = looks.tick() => self.link.health().await?,
+                _ = looks.tick() => {
+                    self.link.health().await?;
+                    self.sweep();
+                }
             }
         }
         self.threads.into_iter().for_each(LiveThread::stop);
@@ -485,6 +492,15 @@ impl LiveService {
         }
     }
 
+    /// Has the states of clients removed that stay away, at the start and once an hour.
+    fn sweep(&mut self) {
+        let now = self.clock.now();
+        if let Some(keeper) = self.keeper.as_ref().filter(|_| now >= self.sweep_due) {
+            keeper.sweep();
+            self.sweep_due = now + SWEEP_EVERY;
+        }
+    }
+
     /// Returns what the wall clock shows when the notifier's own clock shows `now`, in nanoseconds.
     fn unix(&self, now: u64) -> i64 {
         self.epoch.saturating_add(signed(now))
@@ -572,6 +588,7 @@ mod tests {
     /// A disk that hangs once something is to be written, until its test lets it go.
     #[derive(Debug)]
     struct HangingStore {
+        swept: flume::Sender<()>,
         hangs: flume::Sender<()>,
         go: flume::Receiver<()>,
     }
@@ -590,6 +607,10 @@ mod tests {
 
         fn forget(&self, _client: &ClientName) -> std::io::Result<()> {
             Ok(())
+        }
+
+        fn sweep(&self) {
+            drop(self.swept.try_send(()));
         }
     }
 
@@ -611,6 +632,8 @@ mod tests {
             self.0.lock().unwrap().remove(client);
             Ok(())
         }
+
+        fn sweep(&self) {}
     }
 
     /// Prepares a notifier for two clients that keeps its states there.
@@ -672,12 +695,14 @@ mod tests {
     }
 
     #[tokio::test(flavor = "multi_thread")]
-    async fn a_disk_that_hangs_keeps_no_client_waiting() {
+    async fn a_disk_that_hangs_keeps_no_client_waiting_and_is_swept_at_the_start() {
+        let (swept, sweeping) = flume::bounded(1);
         let (hangs, hanging) = flume::bounded(1);
         let (let_go, go) = flume::bounded::<()>(1);
-        let notifier = prepared(Arc::new(HangingStore { hangs, go })).await;
+        let notifier = prepared(Arc::new(HangingStore { swept, hangs, go })).await;
         let endpoint = notifier.link.locators()[0].parse().unwrap();
         let (stop, work) = at_work(notifier);
+        sweeping.recv_async().await.unwrap();
         let clients = LiveClientLink::open(&ConnectSettings::new(vec![endpoint])).await.unwrap();
         let first = LiveClient::open(&clients, asked("first")).await.unwrap();
         hanging.recv_async().await.unwrap();

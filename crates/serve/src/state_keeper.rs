@@ -1,7 +1,7 @@
 //! The thread that keeps the states of sessions: a disk that is slow to write delays it, and no client.
 //!
 //! ```text
-//! notifier --keep, forget--> one place per client: the newest counts --thread--> StateStore
+//! notifier --keep, forget, sweep--> one place per client: the newest counts --thread--> StateStore
 //!          <------find------
 //! ```
 
@@ -41,6 +41,9 @@ pub trait StateStore: Send + Sync + fmt::Debug {
     ///
     /// What the system reports if the state cannot be removed.
     fn forget(&self, client: &ClientName) -> std::io::Result<()>;
+
+    /// Removes the states of clients that have not been here for long: nobody is remembered for ever.
+    fn sweep(&self);
 }
 
 /// What is to become of a client's kept state.
@@ -50,12 +53,20 @@ enum StateChange {
     Forget,
 }
 
+/// What the thread does next.
+#[derive(Debug)]
+enum StateWork {
+    Change(ClientName, StateChange),
+    Sweep,
+}
+
 #[derive(Debug, Default)]
 struct WaitingChanges {
     /// The newest one of each client.
     newest: BTreeMap<ClientName, StateChange>,
     /// The one that is on its way to the disk.
     under_way: Option<(ClientName, StateChange)>,
+    is_sweep_due: bool,
     has_ended: bool,
     is_full_told: bool,
 }
@@ -97,11 +108,14 @@ impl StatePlaces {
         waiting.newest.get(client).or_else(under_way).cloned()
     }
 
-    /// Waits for the next change, client after client in turn; `None` once all are done and no more will come.
-    fn next(&self) -> Option<(ClientName, StateChange)> {
+    /// Waits for the next work, client after client in turn; `None` once all is done and no more will come.
+    fn next(&self) -> Option<StateWork> {
         let mut waiting = self.lock();
         let last = waiting.under_way.take().map(|(client, _)| client);
         loop {
+            if std::mem::take(&mut waiting.is_sweep_due) {
+                return Some(StateWork::Sweep);
+            }
             let after = last.as_ref().map_or(Bound::Unbounded, Bound::Excluded);
             let later: (Bound<&ClientName>, Bound<&ClientName>) = (after, Bound::Unbounded);
             let later = waiting.newest.range::<ClientName, _>(later).next();
@@ -109,7 +123,7 @@ impl StatePlaces {
             if let Some((client, change)) = next.map(|(client, it)| (client.clone(), it.clone())) {
                 waiting.newest.remove(&client);
                 waiting.under_way = Some((client.clone(), change.clone()));
-                return Some((client, change));
+                return Some(StateWork::Change(client, change));
             }
             if waiting.has_ended {
                 return None;
@@ -152,6 +166,12 @@ impl StateKeeper {
         self.places.put(client, StateChange::Forget);
     }
 
+    /// Removes soon what is too old. Never waits for the disk.
+    pub(crate) fn sweep(&self) {
+        self.places.lock().is_sweep_due = true;
+        self.places.changed.notify_one();
+    }
+
     /// Returns what was kept, or is about to be.
     pub(crate) fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
         match self.places.find(client) {
@@ -174,16 +194,17 @@ impl Drop for StateKeeper {
 
 fn keep_all(store: &dyn StateStore, places: &StatePlaces) {
     let mut is_told = false;
-    while let Some((client, change)) = places.next() {
-        match change {
-            StateChange::Keep(state) => {
+    while let Some(work) = places.next() {
+        match work {
+            StateWork::Sweep => store.sweep(),
+            StateWork::Change(client, StateChange::Keep(state)) => {
                 if let Err(error) = store.keep(&client, &state)
                     && !std::mem::replace(&mut is_told, true)
                 {
                     warn!(%error, "the state of sessions cannot be kept; they will not survive this process");
                 }
             }
-            StateChange::Forget => {
+            StateWork::Change(client, StateChange::Forget) => {
                 if let Err(error) = store.forget(&client) {
                     warn!(%client, %error, "the state of a closed session cannot be removed; the client may get that session again");
                 }
@@ -226,6 +247,10 @@ mod tests {
             self.work(format!("{client} is forgotten"));
             Ok(())
         }
+
+        fn sweep(&self) {
+            self.work("swept".to_owned());
+        }
     }
 
     #[test]
@@ -237,6 +262,9 @@ mod tests {
         keeper.keep(&b, b"1".to_vec());
         let_go.send(()).unwrap();
         assert_eq!(told.recv().unwrap(), "b 1");
+        keeper.sweep();
+        let_go.send(()).unwrap();
+        assert_eq!(told.recv().unwrap(), "swept");
         // From here on nothing is done until it is let go, and nobody waits for it.
         for i in 2..=100 {
             for client in [&a, &b, &c] {

@@ -47,6 +47,7 @@ pub(crate) struct ServeArgs {
     #[arg(long, value_name = "DATABASE")]
     pub words: Option<PathBuf>,
     /// Keep the state of every session in this directory once a second; a notifier that is started again goes on with them.
+    /// What is kept of a client that stays away is removed after a day.
     #[arg(long, value_name = "DIR")]
     pub state: Option<PathBuf>,
     /// The most clients at once (default: 64; 1 with --play).

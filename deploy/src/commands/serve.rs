@@ -4,9 +4,11 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
+use leadtime_learner::replaced_name;
 use leadtime_link::ListenSettings;
 use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
@@ -228,6 +230,13 @@ fn schema(policy: &WorkingPolicy) -> Value {
     })
 }
 
+/// After how long the state of a client is removed that has not come back.
+const STATE_LASTS: Duration = Duration::from_hours(24);
+/// The most clients whose states are kept: where anybody may ask, anybody may invent names.
+const MAX_STATES: usize = 1_024;
+/// How the name of a state's file ends.
+const STATE: &str = ".session";
+
 /// A directory with a file for every client.
 #[derive(Debug)]
 struct StateDirectory {
@@ -258,13 +267,49 @@ impl StateDirectory {
     }
 
     fn file(&self, client: &ClientName) -> PathBuf {
-        self.path.join(format!("{client}.session"))
+        self.path.join(format!("{client}{STATE}"))
+    }
+
+    /// Lists the states that are too old or too many, with what a killed notifier has left of one. Files of others are not touched.
+    fn old_states(&self) -> io::Result<Vec<PathBuf>> {
+        let mut states = Vec::new();
+        for entry in fs::read_dir(&self.path)? {
+            let entry = entry?;
+            let (name, path) = (entry.file_name(), entry.path());
+            let name = name.to_string_lossy();
+            let client = replaced_name(&name).unwrap_or(&name).strip_suffix(STATE);
+            let is_state = client.is_some_and(|client| ClientName::new(client).is_ok());
+            if is_state && entry.file_type()?.is_file() {
+                states.extend(clock::age(&path).map(|age| (age, path)));
+            }
+        }
+        states.sort_unstable();
+        let n_young = states.partition_point(|(age, _)| *age <= STATE_LASTS);
+        Ok(states.split_off(n_young.min(MAX_STATES)).into_iter().map(|(_, path)| path).collect())
+    }
+
+    /// Removes the states that are too old or too many; returns how many.
+    fn remove_old(&self) -> io::Result<usize> {
+        let old = self.old_states()?;
+        let mut removed = Ok(old.len());
+        for path in &old {
+            // One that cannot be removed keeps no other.
+            removed = fs::remove_file(path).and(removed);
+        }
+        removed
     }
 }
 
 impl StateStore for StateDirectory {
     fn keep(&self, client: &ClientName, state: &[u8]) -> io::Result<()> {
-        write_atomically(&self.file(client), state)
+        let file = self.file(client);
+        let is_new = !file.exists();
+        write_atomically(&file, state)?;
+        if is_new {
+            // If they cannot be removed, the next sweep says so.
+            drop(self.remove_old());
+        }
+        Ok(())
     }
 
     fn find(&self, client: &ClientName) -> Option<Vec<u8>> {
@@ -285,11 +330,73 @@ impl StateStore for StateDirectory {
             Ok(()) | Err(_) => Ok(()),
         }
     }
+
+    fn sweep(&self) {
+        let place = self.path.display();
+        match self.remove_old() {
+            Ok(0) => {}
+            Ok(n) => {
+                let n = counted(n, "state");
+                tracing::info!("{n} of clients that have not come back removed from {place}");
+            }
+            Err(error) => tracing::warn!(%error, "old states in {place} cannot be removed"),
+        }
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Writes a file that was changed so long ago.
+    fn aged(path: &Path, age: Duration) {
+        let file = File::create(path).unwrap();
+        let now = file.metadata().unwrap().modified().unwrap();
+        file.set_modified(now - age).unwrap();
+    }
+
+    fn names(path: &Path) -> Vec<String> {
+        let names = fs::read_dir(path).unwrap().map(|entry| entry.unwrap().file_name());
+        let mut names: Vec<String> = names.map(|name| name.into_string().unwrap()).collect();
+        names.sort_unstable();
+        names
+    }
+
+    #[test]
+    fn the_states_of_clients_that_stay_away_are_removed_and_no_other_files() {
+        let place = tempfile::tempdir().unwrap();
+        let states = StateDirectory::open(place.path()).unwrap();
+        for (name, hours) in [
+            ("away.session", 25),
+            ("away.session.12.partial", 25),
+            ("here.session", 23),
+            ("notes.txt", 99),
+            ("No client.session", 99),
+        ] {
+            aged(&place.path().join(name), Duration::from_hours(hours));
+        }
+        states.sweep();
+        let left = [".lock", "No client.session", "here.session", "notes.txt"];
+        assert_eq!(names(place.path()), left);
+    }
+
+    #[test]
+    fn however_many_names_are_invented_the_newest_states_stay() {
+        let place = tempfile::tempdir().unwrap();
+        let states = StateDirectory::open(place.path()).unwrap();
+        let oldest = MAX_STATES - 1;
+        for i in 0..MAX_STATES {
+            let path = place.path().join(format!("client-{i}{STATE}"));
+            aged(&path, Duration::from_secs(60 + i as u64));
+        }
+        states.keep(&ClientName::new("client-0").unwrap(), b"one that is there").unwrap();
+        assert_eq!(names(place.path()).len(), 1 + MAX_STATES);
+        states.keep(&ClientName::new("new").unwrap(), b"one more").unwrap();
+        let names = names(place.path());
+        assert_eq!(names.len(), 1 + MAX_STATES);
+        assert!(names.contains(&"new.session".to_owned()));
+        assert!(!names.contains(&format!("client-{oldest}{STATE}")));
+    }
 
     #[test]
     fn a_lock_that_leads_elsewhere_is_refused_and_what_it_leads_to_is_left_alone() {
