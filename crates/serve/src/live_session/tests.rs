@@ -1,6 +1,8 @@
+use leadtime_link::live::ArrivalEncoding;
 use leadtime_policy::Parameters;
 use leadtime_proto::{PolicySpec, TaskSpec};
 use leadtime_sims::notifier::initial_bias;
+use leadtime_taxonomy::words;
 use leadtime_voice::WordTime;
 use serde_json::{Value, json};
 
