@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use leadtime_certs::IssueRequest;
 
-use super::{TOO_LONG, duration};
+use super::durations::{TOO_LONG, duration};
 
 /// How a process shows who it is.
 #[derive(Clone, Debug, Default, Args)]

@@ -1,5 +1,7 @@
 //! What a command line means, and what is said where it means nothing.
 
+use super::durations::TOO_LONG;
+use super::training::stop_after;
 use super::*;
 
 #[test]
