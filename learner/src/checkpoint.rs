@@ -19,7 +19,7 @@
 //!   moved away is made and locked again before anything is written, unless another learner was faster.
 
 use std::collections::BTreeSet;
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
@@ -32,7 +32,7 @@ use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 use tracing::warn;
 
-use crate::files::{replaced_name, write_atomically};
+use crate::files::{lock_file, replaced_name, write_atomically};
 
 /// The version of what a checkpoint holds; no other one is read.
 pub const FORMAT_VERSION: u32 = 3;
@@ -245,18 +245,10 @@ fn lock(directory: &Path) -> Result<File, CheckpointError> {
     let failed = |path: &Path, source| CheckpointError::Write { path: path.to_owned(), source };
     fs::create_dir_all(directory).map_err(|source| failed(directory, source))?;
     let path = directory.join(LOCK);
-    // Opening something else than a file, such as a pipe, could wait for ever.
-    if fs::metadata(&path).is_ok_and(|found| !found.is_file()) {
-        let source = io::Error::new(io::ErrorKind::InvalidInput, "it is not a file");
-        return Err(failed(&path, source));
-    }
-    let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&path);
-    let lock = lock.map_err(|source| failed(&path, source))?;
-    match lock.try_lock() {
-        Ok(()) => Ok(lock),
-        Err(TryLockError::WouldBlock) => Err(CheckpointError::InUse(directory.to_owned())),
-        Err(TryLockError::Error(source)) => Err(failed(&path, source)),
-    }
+    lock_file(&path).map_err(|error| match error {
+        TryLockError::WouldBlock => CheckpointError::InUse(directory.to_owned()),
+        TryLockError::Error(source) => failed(&path, source),
+    })
 }
 
 /// Tells whether a path still leads to an open file.

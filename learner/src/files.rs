@@ -1,7 +1,7 @@
 //! Files that are whole or not there.
 
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, TryLockError};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 /// How the name of a file ends that is being written.
@@ -95,6 +95,34 @@ pub fn replaced_name(name: &str) -> Option<&str> {
     Some(id.map_or(name, |(name, _)| name))
 }
 
+/// Locks a file against other processes until it is dropped, and makes it if it is not there. What is in it stays, and a link
+/// is not followed: it would lead to what is somebody else's.
+///
+/// # Errors
+///
+/// [`TryLockError::WouldBlock`] if somebody else holds the lock; [`TryLockError::Error`] if the file cannot be made or opened, or
+/// if a link, a pipe or something else than a file is in its place.
+pub fn lock_file(path: &Path) -> Result<File, TryLockError> {
+    let mut options = File::options();
+    options.read(true).write(true);
+    let file = match options.clone().create_new(true).open(path) {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
+            let found = fs::symlink_metadata(path).map_err(TryLockError::Error)?;
+            if !found.is_file() {
+                let name = path.file_name().unwrap_or(path.as_os_str()).display();
+                let what = if found.is_symlink() { "is a link" } else { "is not a file" };
+                let error = io::Error::new(ErrorKind::InvalidInput, format!("{name} {what}"));
+                return Err(TryLockError::Error(error));
+            }
+            options.open(path)
+        }
+        made => made,
+    };
+    let file = file.map_err(TryLockError::Error)?;
+    file.try_lock()?;
+    Ok(file)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,5 +143,27 @@ mod tests {
         file.place().unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
         assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn a_lock_keeps_what_is_in_its_file_and_follows_no_link() {
+        let place = tempfile::tempdir().unwrap();
+        let [lock, other, missing] =
+            ["lock", "other", "missing"].map(|name| place.path().join(name));
+        fs::write(&lock, "whose it is").unwrap();
+        let held = lock_file(&lock).unwrap();
+        assert!(matches!(lock_file(&lock), Err(TryLockError::WouldBlock)));
+        drop(held);
+        assert_eq!(fs::read_to_string(&lock).unwrap(), "whose it is");
+        fs::write(&other, "precious").unwrap();
+        for target in [&other, &missing] {
+            fs::remove_file(&lock).unwrap();
+            std::os::unix::fs::symlink(target, &lock).unwrap();
+            assert!(lock_file(&lock).unwrap_err().to_string().contains("lock is a link"));
+        }
+        assert!(!missing.exists());
+        fs::remove_file(&lock).unwrap();
+        fs::create_dir(&lock).unwrap();
+        assert!(lock_file(&lock).unwrap_err().to_string().contains("lock is not a file"));
     }
 }

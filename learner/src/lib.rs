@@ -47,7 +47,7 @@ pub use builds::{Build, Builds};
 pub use config::LearnerConfig;
 pub use episodes::EpisodeMeans;
 pub use error::Error;
-pub use files::{PartialFile, replaced_name, write_atomically};
+pub use files::{PartialFile, lock_file, replaced_name, write_atomically};
 pub use held_out::{HeldOutEpisode, HeldOutEvaluation, HeldOutMeans, PolicyEvaluator};
 pub use report::{
     PhaseTimes, ProgressSink, RatedPolicy, RosterEntry, RunEnd, RunEvent, RunHealth, RunReport,

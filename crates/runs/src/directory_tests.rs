@@ -342,6 +342,11 @@ fn a_damaged_file_is_named_with_what_helps() {
     let text = with_causes(&says());
     assert!(text.ends_with("r/lock cannot be used: lock is not a file"), "{text}");
     fs::remove_dir(path.join("lock")).unwrap();
+    std::os::unix::fs::symlink(path.join("config.toml"), path.join("lock")).unwrap();
+    let text = with_causes(&says());
+    assert!(text.ends_with("r/lock cannot be used: lock is a link"), "{text}");
+    assert!(fs::metadata(path.join("config.toml")).unwrap().len() > 0);
+    fs::remove_file(path.join("lock")).unwrap();
     fs::remove_file(path.join("metrics.jsonl")).unwrap();
     fs::create_dir(path.join("metrics.jsonl")).unwrap();
     let text = with_causes(&says());

@@ -1,12 +1,12 @@
 //! What lies in a run directory, and what it says about the run.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::path::{Path, PathBuf};
 
 use leadtime_config::Config;
 use leadtime_config::identity::{self, Change, STOP_AT, TOTAL_STEPS, difference};
-use leadtime_learner::{replaced_name, write_atomically};
+use leadtime_learner::{lock_file, replaced_name, write_atomically};
 use leadtime_proto::RunName;
 use leadtime_proto::phrase::with_causes;
 use toml::Table;
@@ -232,16 +232,12 @@ pub(crate) fn make_directory(path: &Path) -> Result<(), RunDirError> {
 pub(crate) fn lock(path: &Path, file: &str, name: &RunName) -> Result<File, RunDirError> {
     let path = path.join(file);
     let io = |source| RunDirError::Io { path: path.clone(), source };
-    regular::check_if_there(&path).map_err(io)?;
+    let file = lock_file(&path).map_err(|error| match error {
+        TryLockError::WouldBlock => RunDirError::Locked(name.to_string()),
+        TryLockError::Error(source) => io(source),
+    })?;
     // What its holder has written stays until the lock is ours.
-    let mut options = OpenOptions::new();
-    let file = options.read(true).write(true).create(true).truncate(false).open(&path);
-    let file = file.map_err(io)?;
-    match file.try_lock() {
-        Ok(()) => file.set_len(0).map(|()| file).map_err(io),
-        Err(TryLockError::WouldBlock) => Err(RunDirError::Locked(name.to_string())),
-        Err(TryLockError::Error(source)) => Err(io(source)),
-    }
+    file.set_len(0).map(|()| file).map_err(io)
 }
 
 /// Takes the learner's lock for a supervisor, which holds its own.

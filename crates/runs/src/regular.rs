@@ -49,7 +49,7 @@ pub(crate) fn check(path: &Path) -> io::Result<()> {
 }
 
 /// Refuses something else than a file, but not that nothing is there.
-pub(crate) fn check_if_there(path: &Path) -> io::Result<()> {
+fn check_if_there(path: &Path) -> io::Result<()> {
     // A link that leads nowhere is there.
     if path.symlink_metadata().is_ok() { check(path) } else { Ok(()) }
 }

@@ -1,6 +1,6 @@
 //! `leadtime serve`: a policy at work, speaking to robots, cars and simulators over the network.
 
-use std::fs::{self, File, OpenOptions, TryLockError};
+use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use leadtime_certs::Role;
-use leadtime_learner::replaced_name;
+use leadtime_learner::{lock_file, replaced_name};
 use leadtime_link::ListenSettings;
 use leadtime_link::live::LiveServiceLink;
 use leadtime_proto::ClientName;
@@ -248,21 +248,15 @@ struct StateDirectory {
 impl StateDirectory {
     fn open(path: &Path) -> anyhow::Result<Arc<dyn StateStore>> {
         fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
-        let unwritten = || format!("cannot write into {}", path.display());
-        let file = path.join(".lock");
-        // A link would be followed to what is somebody else's, and a pipe waited for.
-        if fs::symlink_metadata(&file).is_ok_and(|found| !found.is_file()) {
-            anyhow::bail!("{} is not a file: remove it", file.display());
-        }
-        let lock = OpenOptions::new().create(true).truncate(false).write(true).open(&file);
-        let lock = lock.with_context(unwritten)?;
-        match lock.try_lock() {
-            Ok(()) => Ok(Arc::new(Self { path: path.to_owned(), _lock: lock })),
+        match lock_file(&path.join(".lock")) {
+            Ok(lock) => Ok(Arc::new(Self { path: path.to_owned(), _lock: lock })),
             Err(TryLockError::WouldBlock) => Err(anyhow::anyhow!(
                 "{} is another notifier's that is at work: give each a directory of its own",
                 path.display()
             )),
-            Err(TryLockError::Error(error)) => Err(error).with_context(unwritten),
+            Err(TryLockError::Error(error)) => {
+                Err(error).with_context(|| format!("cannot write into {}", path.display()))
+            }
         }
     }
 
@@ -406,7 +400,7 @@ mod tests {
         fs::write(&other, "precious").unwrap();
         std::os::unix::fs::symlink(&other, states.join(".lock")).unwrap();
         let error = StateDirectory::open(&states).unwrap_err();
-        assert!(error.to_string().ends_with(".lock is not a file: remove it"), "{error}");
+        assert!(format!("{error:#}").ends_with("states: .lock is a link"), "{error:#}");
         assert_eq!(fs::read_to_string(&other).unwrap(), "precious");
         fs::remove_file(states.join(".lock")).unwrap();
         let held = StateDirectory::open(&states).unwrap();
