@@ -11,7 +11,8 @@
 //!            out  everything that actors send; the answers to that
 //! observer   in   looks at presence, metrics, news and weights; asks for history and what the run is
 //! recorder   in   as an observer, and rollouts; reads everything of notifiers at work, and asks for their sessions
-//! service    in   its presence, that of its clients; answers who asks for a session; says, and takes what is observed
+//! service    in   its presence, that of its clients; answers who asks for a session; says, and takes what is observed; asks
+//!                 whether another one answers
 //! robot      in   its presence; asks for a session, observes, hears, under its own name alone
 //! router     both everything of ours
 //! ```
@@ -371,6 +372,11 @@ impl LivePatterns {
         self.of(LiveKey::Open(&self.service, &self.client))
     }
 
+    /// Where a notifier asks whether another one of its name answers.
+    fn life(&self) -> String {
+        self.of(LiveKey::Life(&self.service))
+    }
+
     /// What a client sends.
     fn sent(&self) -> [String; 2] {
         let (service, client) = (&self.service, &self.client);
@@ -407,10 +413,13 @@ fn service() -> Vec<AccessRule> {
         rule("in", &["liveliness_token"], [keys.notifiers()]),
         rule("in", LOOK, presence()),
         rule("in", &["declare_queryable", "reply"], [keys.open(), keys.session()]),
+        rule("in", &["query"], [keys.life()]),
         rule("in", &["put"], keys.told().into_iter().chain([keys.taken()])),
         rule("in", &["declare_subscriber"], keys.sent()),
         rule("out", &["liveliness_token"], presence()),
         rule("out", &["query"], [keys.open(), keys.session()]),
+        rule("out", &["reply"], [keys.life()]),
+        rule("out", &["declare_queryable"], [keys.open()]),
         rule("out", &["put"], keys.sent()),
         rule("out", &["declare_subscriber"], keys.published()),
     ]
@@ -596,7 +605,7 @@ mod tests {
         ]);
         let text = written.to_text();
         let read = AccessList::parse(&text).unwrap();
-        assert_eq!(read.0["rules"].as_array().unwrap().len(), 62);
+        assert_eq!(read.0["rules"].as_array().unwrap().len(), 65);
         assert_eq!(AccessList::parse(&read.to_text()).unwrap(), read);
         let before = &text[..text.find("\"query\"").unwrap()];
         let line = format!("line {}: unknown variant `ask`", before.lines().count());
@@ -616,10 +625,26 @@ mod tests {
         let keys = LivePatterns::new("m1");
         let [observations, heard] = keys.sent();
         let [say, status] = keys.told();
-        let made =
-            [keys.notifiers(), keys.presence(), keys.open(), observations, heard, say, status];
-        let expected =
-            ["alive/*", "m1/alive/*", "m1/open", "m1/obs", "m1/heard", "m1/say", "m1/status"];
+        let made = [
+            keys.notifiers(),
+            keys.presence(),
+            keys.open(),
+            keys.life(),
+            observations,
+            heard,
+            say,
+            status,
+        ];
+        let expected = [
+            "alive/*",
+            "m1/alive/*",
+            "m1/open",
+            "alive/open",
+            "m1/obs",
+            "m1/heard",
+            "m1/say",
+            "m1/status",
+        ];
         assert_eq!(made, expected.map(|key| format!("leadtime/live/1/*/{key}")));
     }
 

@@ -118,6 +118,13 @@ impl OwedAnswer {
         Self { query: Some(query), answers: answers.clone() }
     }
 
+    /// Returns how many bytes of the question are still kept.
+    #[cfg(test)]
+    pub(crate) fn n_bytes(&self) -> usize {
+        let parts = self.query.iter().flat_map(|query| [query.payload(), query.attachment()]);
+        parts.flatten().map(ZBytes::len).sum()
+    }
+
     /// Hands the answer over.
     pub(crate) fn give(mut self, reply: impl FnOnce(Query) -> PendingReply) {
         if let Some(query) = self.query.take() {

@@ -1,5 +1,6 @@
 //! Asking a question and waiting for the first usable answer, for a limited time that covers the sending, too.
 
+use std::fmt;
 use std::time::{Duration, Instant};
 
 use leadtime_proto::header::Schema;
@@ -9,7 +10,7 @@ use sha2::{Digest as _, Sha256};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
-use zenoh::sample::Sample;
+use zenoh::sample::{Locality, Sample};
 use zenoh::session::Session;
 
 use crate::keys::{self, Key, Keys, SHA256, VERSION};
@@ -144,7 +145,7 @@ pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Durat
     let mut shortest = Duration::MAX;
     for _ in 0..N_PROBES {
         let asked = Instant::now();
-        if !is_answered(session, run, PROBE_TIMEOUT).await? {
+        if !is_answered(session, Keys::PullsOf(run), PROBE_TIMEOUT).await? {
             let key = Keys::PullsOf(run).to_string();
             return Err(Error::NoAnswer { key, timeout: PROBE_TIMEOUT });
         }
@@ -153,15 +154,16 @@ pub(crate) async fn round_trip(session: &Session, run: &RunName) -> Result<Durat
     Ok(shortest)
 }
 
-/// Returns whether a learner of this run answers a short question within this time.
+/// Returns whether somebody else answers an empty question at a key within this time.
 ///
-/// It is asked for weights without being told which, and every learner answers that with a sentence.
+/// A learner that is asked for weights without being told which, at [`Keys::PullsOf`], answers with a sentence, and so does a notifier
+/// that is asked at [`LiveKey::Life`](crate::live::LiveKey::Life).
 pub(crate) async fn is_answered(
     session: &Session,
-    run: &RunName,
+    key: impl fmt::Display,
     timeout: Duration,
 ) -> Result<bool> {
-    let (key, schema, qos) = (Keys::PullsOf(run).to_string(), Schema::Weights, wire::CONTROL);
+    let (key, schema, qos) = (key.to_string(), Schema::Weights, wire::CONTROL);
     let question = Inquiry::without_payload(&key, String::new(), schema, qos, timeout);
     let end = ask(session, question, |_| Ok(()), |()| true).await?;
     Ok(matches!(end, InquiryEnd::Good(()) | InquiryEnd::Rejected(_)))
@@ -223,6 +225,8 @@ fn send(session: &Session, question: Inquiry, sender: flume::Sender<Reply>) -> R
         .congestion_control(qos.congestion)
         .express(qos.express)
         .target(QueryTarget::All)
+        // Nobody asks themselves.
+        .allowed_destination(Locality::Remote)
         .consolidation(ConsolidationMode::None)
         .timeout(timeout + NETWORK_SLACK)
         .callback(move |reply| {

@@ -38,7 +38,7 @@ pub(crate) async fn is_led(session: &Session, run: &RunName) -> Result<bool> {
     let (keys, action) = (Keys::LearnerOf(run), "look for learners on");
     let found = tokens(session, keys, action, LOOK, MAX_LEARNERS).await?;
     let is_present = found.iter().any(|key| keys::parse_alive(key).is_some());
-    Ok(is_present && ask::is_answered(session, run, PROOF_OF_LIFE).await?)
+    Ok(is_present && ask::is_answered(session, Keys::PullsOf(run), PROOF_OF_LIFE).await?)
 }
 
 /// Finds a run: the named one, or the only one present. Looks until `settings.timeout` has passed since `started`, and for
@@ -92,6 +92,17 @@ pub(crate) async fn tokens(
     look: Duration,
     most: usize,
 ) -> Result<Vec<OwnedKeyExpr>> {
+    Ok(look_for(session, keys, action, look, most).await?.0)
+}
+
+/// Does the same, and returns whether these are all of them: as far as is known nothing was late, and nothing dropped.
+pub(crate) async fn look_for(
+    session: &Session,
+    keys: impl fmt::Display,
+    action: &'static str,
+    look: Duration,
+    most: usize,
+) -> Result<(Vec<OwnedKeyExpr>, bool)> {
     let (sender, answers) = flume::bounded(most);
     session
         .liveliness()
@@ -103,15 +114,18 @@ pub(crate) async fn tokens(
         })
         .wait()
         .map_err(Error::network(action, &keys.to_string()))?;
-    let mut found = Vec::new();
-    // The network ends the answers at its own time-out; ours is for a network that does not.
+    let (mut found, mut n_failed) = (Vec::new(), 0);
+    // The network ends the answers at its own time-out, and says so in one more; ours is for a network that does not.
     let take = async {
         while let Ok(reply) = answers.recv_async().await {
-            let token = reply.into_result().ok();
-            found.extend(token.map(|token| OwnedKeyExpr::from(token.key_expr().clone())));
+            match reply.into_result() {
+                Ok(token) => found.push(OwnedKeyExpr::from(token.key_expr().clone())),
+                Err(_) => n_failed += 1,
+            }
         }
     };
     // Running out of time leaves what was found.
-    drop(tokio::time::timeout(2 * look, take).await);
-    Ok(found)
+    let is_over = tokio::time::timeout(2 * look, take).await.is_ok();
+    let is_whole = is_over && n_failed == 0 && found.len() < most;
+    Ok((found, is_whole))
 }

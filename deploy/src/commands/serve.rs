@@ -10,9 +10,9 @@ use anyhow::Context as _;
 use leadtime_certs::Role;
 use leadtime_learner::{lock_file, replaced_name};
 use leadtime_link::ListenSettings;
-use leadtime_link::live::LiveServiceLink;
-use leadtime_proto::ClientName;
+use leadtime_link::live::{LiveServiceLink, OtherNotifier};
 use leadtime_proto::phrase::counted;
+use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use leadtime_runs::{Tasks, clock, regular, write_atomically};
 use leadtime_serve::{
     LiveService, MAX_SESSIONS, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore,
@@ -53,12 +53,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let own = clock::incarnation();
     let opened = LiveServiceLink::open(&settings, &args.service, own).await;
     let (link, events) = opened.map_err(listening_failure)?;
-    if !link.others(own).await.map_err(listening_failure)?.is_empty() {
-        let name = &args.service;
-        let sentence =
-            format!("a notifier `{name}` is at work there already: choose another --service");
-        return Err(Failure::input(sentence));
-    }
+    check_alone(&link, &args.service, own).await?;
     let (domain, service) = (policy.domain.clone(), &args.service);
     let sentences = counted(policy.n_sentences(), "sentence");
     let locators = link.locators().join(", ");
@@ -90,6 +85,27 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let place = if locators.is_empty() { args.connect.join(", ") } else { locators };
     tracing::info!("notifier `{service}` for {domain}, with {sentences}, is at work at {place}");
     notifier.run(shutdown.cancelled_owned()).await.map_err(listening_failure)
+}
+
+/// Refuses to speak beside another notifier of this name.
+async fn check_alone(
+    link: &LiveServiceLink,
+    name: &ServiceName,
+    own: Incarnation,
+) -> Result<(), Failure> {
+    match link.other(own).await.map_err(listening_failure)? {
+        OtherNotifier::Absent => Ok(()),
+        OtherNotifier::Silent => {
+            tracing::warn!(
+                "somebody shows the presence of a notifier `{name}` and does not answer as one: clients may take it for \
+                 this one (see --tls)"
+            );
+            Ok(())
+        }
+        OtherNotifier::AtWork => Err(Failure::input(format!(
+            "a notifier `{name}` is at work there already: choose another --service"
+        ))),
+    }
 }
 
 /// Loads the policy with its words.

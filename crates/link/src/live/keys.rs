@@ -25,6 +25,8 @@ pub enum LiveKey<'a> {
     Open(&'a ServiceName, &'a ClientName),
     /// What is published about a client: the last part of a key.
     Topic(&'a ServiceName, &'a ClientName, LiveTopic),
+    /// Where another notifier of the name asks whether one answers: where the client would ask that nobody can be.
+    Life(&'a ServiceName),
     /// Where a recorder asks what a client's session is.
     Session(&'a ServiceName, &'a ClientName),
     /// Every notifier that is there.
@@ -87,6 +89,7 @@ impl fmt::Display for LiveKey<'_> {
                 write!(f, "/{service}/{client}/{ALIVE}/{start:016x}")
             }
             Self::Open(service, client) => write!(f, "/{service}/{client}/{OPEN}"),
+            Self::Life(service) => write!(f, "/{service}/{ALIVE}/{OPEN}"),
             Self::Topic(service, client, topic) => {
                 write!(f, "/{service}/{client}/{}", topic.as_str())
             }
@@ -194,6 +197,7 @@ mod tests {
         assert!(expr(LiveKey::Clients(&service)).includes(&own));
         assert!(!expr(LiveKey::Services).includes(&own));
         assert!(expr(LiveKey::Opens(&service)).includes(&expr(LiveKey::Open(&service, &client))));
+        assert!(expr(LiveKey::Opens(&service)).includes(&expr(LiveKey::Life(&service))));
         for key in ["", "leadtime/1/a/alive/00000000000000ff", "leadtime/live/1/a/alive/ff"] {
             assert_eq!(parse_alive(key), None, "{key}");
         }

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! leadtime/live/1/{service}/alive/{incarnation}             presence of the notifier
+//! leadtime/live/1/{service}/alive/open                      query of another notifier of the name: who is at work says no
 //! leadtime/live/1/{service}/{client}/alive/{incarnation}    presence of a client
 //! leadtime/live/1/{service}/{client}/open                   query: what the client is; the answer is its session
 //! leadtime/live/1/{service}/{client}/obs                    observations, client to notifier
@@ -42,4 +43,4 @@ pub use keys::{LIVE_ROOT, LiveAlive, LiveKey, LiveTopic};
 pub use port::{Arrival, ArrivalEncoding, LivePort};
 pub use recorder::{LiveRecorderLink, LiveSample, SessionAsker};
 pub use robot::RobotKeys;
-pub use service::{LiveEvent, LiveServiceLink, OpenResponder};
+pub use service::{LiveEvent, LiveServiceLink, OpenResponder, OtherNotifier};

@@ -1,26 +1,41 @@
 //! The notifier's end: who asks for a session, who is there, and a place for each client.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use leadtime_proto::limits::MAX_LIVE_BYTES;
 use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use zenoh::Wait as _;
+use zenoh::bytes::ZBytes;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{Query, Queryable};
 use zenoh::sample::SampleKind;
 use zenoh::session::Session;
 
+use super::client::LOOK;
 use super::keys::{LiveKey, check_name, parse_alive, parse_open, parse_session};
 use super::port::LivePort;
 use super::robot::RobotKeys;
-use crate::answer::{Answers, OwedAnswer, PendingReply};
+use crate::answer::{Answers, OwedAnswer, PendingReply, unload};
+use crate::ask::is_answered;
 use crate::pubsub::{appear, take_questions, watch_tokens};
 use crate::queue::{Class, EventQueue};
-use crate::{Error, ListenSettings, Result, session};
+use crate::{Error, ListenSettings, Result, discovery, session};
 
 /// Threads that answer questions.
 const N_ANSWERERS: usize = 1;
+/// How long another notifier that shows presence may take to show that it is at work: longer than the presence of one that was killed
+/// lasts.
+const PROOF_OF_LIFE: Duration = Duration::from_secs(4);
+/// How long the answer to one such question may take.
+const LIFE_TIMEOUT: Duration = Duration::from_secs(3);
+/// Pause between two of them.
+const LIFE_PAUSE: Duration = Duration::from_millis(50);
+/// The most clients that are looked at.
+const MAX_CLIENTS: usize = 65_536;
 
 /// What happens to a notifier at work.
 #[derive(Debug)]
@@ -40,6 +55,17 @@ pub enum LiveEvent {
     Here(ClientName, Incarnation),
     /// This start of a client is gone.
     Gone(ClientName, Incarnation),
+}
+
+/// Another notifier of the same name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OtherNotifier {
+    /// Nobody shows that it is there.
+    Absent,
+    /// Somebody shows that it is there, which anybody can, and does not answer.
+    Silent,
+    /// It answers.
+    AtWork,
 }
 
 /// The way to the answer of one question; dropped, it ends the question without one.
@@ -64,6 +90,8 @@ pub struct LiveServiceLink {
     service: ServiceName,
     locators: Vec<String>,
     token: LivelinessToken,
+    /// Whether there was no room for an event of presence.
+    has_missed: Arc<AtomicBool>,
     _questions: [Queryable<()>; 2],
     _clients: Subscriber<()>,
     /// Last, because fields are dropped in order: everything declared on the session is undeclared before it closes.
@@ -91,6 +119,8 @@ impl LiveServiceLink {
         let key = LiveKey::Sessions(service);
         let sessions =
             take_questions(&session, key, move |query| on_recorder(query, &answers, &told))?;
+        let has_missed = Arc::new(AtomicBool::new(false));
+        let missed = Arc::clone(&has_missed);
         let clients = watch_tokens(&session, LiveKey::Clients(service), move |key, kind| {
             let Some(alive) = parse_alive(key) else { return };
             let Some(client) = alive.client else { return };
@@ -98,8 +128,10 @@ impl LiveServiceLink {
                 SampleKind::Put => LiveEvent::Here(client, alive.incarnation),
                 SampleKind::Delete => LiveEvent::Gone(client, alive.incarnation),
             };
-            // Questions leave room for it.
-            drop(events.offer(event, Class::Presence));
+            // Questions leave room for it; a flood of presence may not.
+            if events.offer(event, Class::Presence).is_some() {
+                missed.store(true, Ordering::Relaxed);
+            }
         })?;
         let token = appear(&session, LiveKey::Service(service, incarnation))?;
         let locators = locators.iter().map(ToString::to_string).collect();
@@ -108,6 +140,7 @@ impl LiveServiceLink {
             service,
             locators,
             token,
+            has_missed,
             _questions: [opens, sessions],
             _clients: clients,
             session,
@@ -120,15 +153,49 @@ impl LiveServiceLink {
         &self.locators
     }
 
-    /// Lists the other notifiers of this name that are there: two of them would speak at once.
+    /// Looks for another notifier of this name: two of them would speak at once. One that shows presence has to answer: anybody can
+    /// show it, and that of a notifier that was killed lasts a moment longer than the notifier.
     ///
     /// # Errors
     ///
     /// [`Error::Network`] if the network cannot be asked.
-    pub async fn others(&self, own: Incarnation) -> Result<Vec<Incarnation>> {
-        let present = super::client::present(&self.session).await?;
-        let same = present.into_iter().filter(|(service, _)| *service == self.service);
-        Ok(same.map(|(_, start)| start).filter(|start| *start != own).collect())
+    pub async fn other(&self, own: Incarnation) -> Result<OtherNotifier> {
+        self.other_within(own, PROOF_OF_LIFE).await
+    }
+
+    async fn other_within(&self, own: Incarnation, patience: Duration) -> Result<OtherNotifier> {
+        let started = Instant::now();
+        loop {
+            let present = super::client::present(&self.session).await?;
+            if present.iter().all(|(service, start)| *service != self.service || *start == own) {
+                return Ok(OtherNotifier::Absent);
+            }
+            if is_answered(&self.session, LiveKey::Life(&self.service), LIFE_TIMEOUT).await? {
+                return Ok(OtherNotifier::AtWork);
+            }
+            if started.elapsed() >= patience {
+                return Ok(OtherNotifier::Silent);
+            }
+            tokio::time::sleep(LIFE_PAUSE).await;
+        }
+    }
+
+    /// Returns whether events of presence found no room since the last call: who is there then has to be asked
+    /// ([`LiveServiceLink::clients`]).
+    pub fn take_missed(&self) -> bool {
+        self.has_missed.swap(false, Ordering::Relaxed)
+    }
+
+    /// Lists the clients that are there now; `None` if not everybody answered, and it is to be asked again.
+    pub async fn clients(&self) -> Option<BTreeSet<(ClientName, Incarnation)>> {
+        let (keys, action) = (LiveKey::Clients(&self.service), "look for clients on");
+        let found = discovery::look_for(&self.session, keys, action, LOOK, MAX_CLIENTS).await;
+        let Ok((found, true)) = found else {
+            self.has_missed.store(true, Ordering::Relaxed);
+            return None;
+        };
+        let alive = found.iter().filter_map(|key| parse_alive(key));
+        Some(alive.filter_map(|alive| Some((alive.client?, alive.incarnation))).collect())
     }
 
     /// Returns the name of this session on the network.
@@ -174,17 +241,23 @@ impl LiveServiceLink {
     }
 }
 
-fn on_question(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
+fn on_question(mut query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
     let client = parse_open(query.key_expr());
-    let question = query.payload().map(|payload| payload.to_bytes().into_owned());
+    let n_bytes = query.payload().map_or(0, ZBytes::len);
+    let question = query.payload().filter(|_| n_bytes <= MAX_LIVE_BYTES);
+    let question = question.map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
+    unload(&mut query);
     let responder = OpenResponder(OwedAnswer::new(query, answers));
     let Some(client) = client else {
         return responder.refuse("the name of a client is 1 to 48 of a-z, 0-9 and `-`".to_owned());
     };
-    let question = question.unwrap_or_default();
-    if question.len() > MAX_LIVE_BYTES {
-        let n = question.len();
-        return responder.refuse(format!("this question has {n} bytes; {MAX_LIVE_BYTES} at most"));
+    // Here and not behind the queue: so another notifier is told that this one is there, also while it begins or is busy.
+    if let Err(error) = check_name(&client) {
+        return responder.refuse(error.to_string());
+    }
+    if n_bytes > MAX_LIVE_BYTES {
+        let told = format!("this question has {n_bytes} bytes; {MAX_LIVE_BYTES} at most");
+        return responder.refuse(told);
     }
     let event = LiveEvent::Open { client, question, responder };
     if let Some(LiveEvent::Open { responder, .. }) = events.offer(event, Class::Request) {
@@ -192,11 +265,116 @@ fn on_question(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) 
     }
 }
 
-fn on_recorder(query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
+fn on_recorder(mut query: Query, answers: &Answers, events: &EventQueue<LiveEvent>) {
     let client = parse_session(query.key_expr());
+    unload(&mut query);
     let responder = OpenResponder(OwedAnswer::new(query, answers));
     // One that has no place is let go, which ends the question: a recorder asks again.
     if let Some(client) = client {
         drop(events.offer(LiveEvent::Describe(client, responder), Class::Request));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::test_support::*;
+
+    /// The start of the notifier of these tests.
+    const OWN: Incarnation = Incarnation(7);
+
+    fn service() -> ServiceName {
+        ServiceName::new("n").unwrap()
+    }
+
+    async fn open(hub: &Site, start: Incarnation) -> (LiveServiceLink, flume::Receiver<LiveEvent>) {
+        let connect = vec![hub.endpoint.clone()];
+        let settings = ListenSettings { connect, ..ListenSettings::new(Vec::new()) };
+        LiveServiceLink::open(&settings, &service(), start).await.unwrap()
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn another_notifier_that_answers_is_found_and_bare_presence_is_told_apart() {
+        let hub = Site::new();
+        let router = hub.raw("router").await;
+        let (own, _events) = open(&hub, OWN).await;
+        let within = async |patience| own.other_within(OWN, patience).await.unwrap();
+        assert_eq!(within(Duration::ZERO).await, OtherNotifier::Absent, "not the own one");
+
+        let key = LiveKey::Service(&service(), Incarnation(8)).to_string();
+        let ghost = router.liveliness().declare_token(key).await.unwrap();
+        assert_eq!(within(Duration::ZERO).await, OtherNotifier::Silent);
+        let (found, ()) = tokio::join!(within(SOON), async { ghost.undeclare().await.unwrap() });
+        assert_eq!(found, OtherNotifier::Absent, "it was killed");
+
+        // Nobody takes its events: it answers before it is at work, and while it is busy.
+        let (_second, events) = open(&hub, Incarnation(9)).await;
+        let answers = async { while within(SOON).await != OtherNotifier::AtWork {} };
+        tokio::time::timeout(SOON, answers).await.expect("it shows presence, and answers");
+        assert!(events.is_empty(), "a look is no question for a session");
+    }
+
+    /// Asks at a key, again where the notifier's place is not known yet, and returns what is picked of what it is told.
+    async fn asked<T>(
+        from: &Session,
+        events: &flume::Receiver<LiveEvent>,
+        key: LiveKey<'_>,
+        pick: fn(LiveEvent) -> Option<T>,
+    ) -> T {
+        for _ in 0..200 {
+            let ask = from.get(key.to_string()).payload([7; 9]).attachment([8; 9]);
+            let answers = ask.timeout(Duration::from_millis(100)).await.unwrap();
+            drop(answers.recv_async().await);
+            if let Some(picked) = events.try_iter().find_map(pick) {
+                return picked;
+            }
+        }
+        panic!("its place is not known")
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_a_question_holds_is_let_go_while_its_answer_waits() {
+        let hub = Site::new();
+        let router = hub.raw("router").await;
+        let (_own, events) = open(&hub, OWN).await;
+        let (service, client) = (service(), ClientName::new("c").unwrap());
+        let key = LiveKey::Open(&service, &client);
+        let opens = asked(&router, &events, key, |event| match event {
+            LiveEvent::Open { question, responder, .. } => Some((question, responder.0.n_bytes())),
+            _ => None,
+        });
+        assert_eq!(opens.await, (vec![7; 9], 0));
+        let key = LiveKey::Session(&service, &client);
+        let describes = asked(&router, &events, key, |event| match event {
+            LiveEvent::Describe(_, responder) => Some(responder.0.n_bytes()),
+            _ => None,
+        });
+        assert_eq!(describes.await, 0);
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn who_is_there_can_be_asked_after_a_flood_of_presence() {
+        let hub = Site::new();
+        let router = hub.raw("router").await;
+        let (own, events) = open(&hub, OWN).await;
+        assert!(!own.take_missed());
+        let client = ClientName::new("c").unwrap();
+        let mut tokens = Vec::new();
+        let flooded = async {
+            // Nobody takes events meanwhile.
+            while !own.take_missed() {
+                let start = Incarnation(tokens.len() as u64);
+                let key = LiveKey::Client(&service(), &client, start).to_string();
+                tokens.push(router.liveliness().declare_token(key).await.unwrap());
+            }
+        };
+        tokio::time::timeout(SOON, flooded).await.expect("the queue is full");
+        let gone = tokens.pop().unwrap();
+        gone.undeclare().await.unwrap();
+        let starts = (0..tokens.len()).map(|n| (client.clone(), Incarnation(n as u64)));
+        let here: BTreeSet<_> = starts.collect();
+        let told = async { while own.clients().await.as_ref() != Some(&here) {} };
+        tokio::time::timeout(SOON, told).await.expect("all but the one that is gone");
+        assert!(events.is_full(), "what was missed is not told any more");
     }
 }

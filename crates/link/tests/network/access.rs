@@ -7,13 +7,16 @@ use std::time::Duration;
 
 use leadtime_certs::Role;
 use leadtime_link::keys::{Key, Member};
+use leadtime_link::live::{LiveServiceLink, OtherNotifier};
 use leadtime_link::{
     AccessList, ActorEvent, ActorLink, Error, LearnerEvent, LearnerLink, ListenSettings,
     ObserverEvent, ObserverLink, RouterLink, StartKey,
 };
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::{Control, ControlReply, Credit};
-use leadtime_proto::{Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Sequence};
+use leadtime_proto::{
+    Epoch, Header, Incarnation, PolicyVersion, RefusalCause, Sequence, ServiceName,
+};
 use sha2::{Digest as _, Sha256};
 use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, QueryTarget};
@@ -418,6 +421,27 @@ async fn a_second_learner_of_a_run_does_not_start_and_a_killed_one_does_not_coun
     let again = open("one").await.expect("it takes up the run of one that was killed");
     is_told(next.incarnation(), true).await;
     again.health().unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_second_notifier_of_a_name_hears_from_the_first_one_that_it_is_at_work() {
+    let (pki, service) = (Pki::new(), ServiceName::new("n").unwrap());
+    let peers = [(Role::Router, "r1"), (Role::Service, "s1"), (Role::Service, "s2")];
+    for (role, name) in peers {
+        pki.issue(role, name);
+    }
+    let peers = peers.map(|(role, name)| (role, name.parse().unwrap()));
+    let guard = ListenSettings { access: AccessList::of(&peers), ..pki.listen("r1") };
+    let router = RouterLink::open(&guard).await.unwrap();
+    let endpoint = router.locators()[0].parse().unwrap();
+    let open = async |name: &str, start| {
+        LiveServiceLink::open(&dial(&pki, name, &endpoint), &service, start).await.unwrap()
+    };
+    let (_first, _events) = open("s1", Incarnation(1)).await;
+    let (second, _events) = open("s2", Incarnation(2)).await;
+    let hears =
+        async { while second.other(Incarnation(2)).await.unwrap() != OtherNotifier::AtWork {} };
+    tokio::time::timeout(SOON, hears).await.expect("the first one answers");
 }
 
 #[tokio::test(flavor = "multi_thread")]
