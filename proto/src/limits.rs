@@ -25,7 +25,8 @@ pub const MAX_SNAPSHOT_BYTES: usize = 256 << 10;
 pub const MAX_ROLLOUT_STEPS: usize = 65_536;
 /// The most environments in one run.
 pub const MAX_ENVS: usize = 65_536;
-/// A number of an assignment, or of a rollout within its environment, that no run reaches: a message beyond it is nonsense.
+/// A number of an assignment, or of a rollout or an episode within its environment, that no run reaches: a message beyond it is
+/// nonsense.
 pub const MAX_COUNT: u64 = 1 << 48;
 /// The highest number of an assignment above which a learner goes on counting, for the actor that names it. Half of
 /// [`MAX_COUNT`], so that there is room above whatever somebody else has told its actors.

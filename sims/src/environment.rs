@@ -5,6 +5,7 @@
 //! draw comes from streams named by [`EpisodeSeed`].
 
 use leadtime_numerics::{Pcg64, Purpose, stream};
+use leadtime_proto::limits::MAX_COUNT;
 use leadtime_proto::{EgoAttention, EnvId, EnvSpec, Mask};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -31,6 +32,18 @@ impl EpisodeSeed {
     /// Opens the episode's stream for one purpose.
     pub fn stream(&self, purpose: Purpose) -> Pcg64 {
         stream(self.run_seed, purpose, self.env_id.0, self.episode)
+    }
+
+    /// Returns whether an environment may have come to the episode. A snapshot may be made up.
+    pub fn may_be(&self) -> bool {
+        self.episode <= MAX_COUNT
+    }
+
+    /// Returns the seed of the next episode of the same environment. One that [may be](Self::may_be) stays so: nobody is to blame
+    /// for having gone on with it.
+    #[must_use]
+    pub fn following(self) -> Self {
+        Self { episode: if self.episode < MAX_COUNT { self.episode + 1 } else { 0 }, ..self }
     }
 }
 

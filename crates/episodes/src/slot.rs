@@ -68,6 +68,9 @@ impl EnvSlot {
             return Err(SnapshotError::Mismatch { what: "return or recurrent state" });
         }
         let seed = EpisodeSeed { run_seed, env_id, episode: snapshot.episode };
+        if !seed.may_be() {
+            return Err(SnapshotError::Mismatch { what: "number of the episode" });
+        }
         let mut slot = Self::idle(env, recurrent_dim, seed);
         slot.env.restore(&snapshot.env, &mut slot.observation)?;
         // One that cannot go on where it was has begun an episode, to which nothing of the other one belongs.
@@ -100,7 +103,7 @@ impl EnvSlot {
 
     /// Starts the next episode of the same environment.
     pub fn begin_next(&mut self) {
-        self.begin(EpisodeSeed { episode: self.seed.episode + 1, ..self.seed });
+        self.begin(self.seed.following());
     }
 
     /// Sets the stream from which a sampling policy's actions are drawn.
@@ -182,14 +185,15 @@ impl EnvSlot {
     pub(crate) fn step(&mut self, action: &[u8]) -> StepOutcome {
         let outcome = self.env.step(action, &mut self.observation);
         self.episode_return += f64::from(outcome.reward);
-        self.n_steps += 1;
+        // A snapshot may be made up.
+        self.n_steps = self.n_steps.saturating_add(1);
         outcome
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::limits::MAX_MAGNITUDE;
+    use leadtime_proto::limits::{MAX_COUNT, MAX_MAGNITUDE};
     use leadtime_proto::{ActionSpec, EnvSpec};
 
     use super::*;
@@ -275,5 +279,25 @@ mod tests {
             let restored = EnvSlot::restored(env(), 1, seed.run_seed, seed.env_id, &bytes);
             assert_eq!(restored.is_ok(), fits, "{episode_return} {memory}");
         }
+    }
+
+    #[test]
+    fn an_episode_that_no_run_reaches_is_not_restored_and_one_that_is_restored_can_be_followed() {
+        let actions = ActionSpec::discrete("action", 2);
+        let spec = EnvSpec { obs_dim: 1, actions, metrics: Vec::new() };
+        let env = || Box::new(Paying { spec: spec.clone(), goes_on: true });
+        let again = |episode: u64, follows: bool| {
+            let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(2), episode };
+            let (mut slot, mut bytes) = (EnvSlot::new(env(), 1, seed), Vec::new());
+            slot.n_steps = u32::MAX;
+            slot.step(&[0]);
+            if follows {
+                slot.begin_next();
+            }
+            slot.snapshot(&mut bytes);
+            EnvSlot::restored(env(), 1, seed.run_seed, seed.env_id, &bytes).is_ok()
+        };
+        assert!(again(MAX_COUNT, false) && again(MAX_COUNT - 1, true) && again(MAX_COUNT, true));
+        assert!(!again(MAX_COUNT + 1, false) && !again(u64::MAX, false));
     }
 }

@@ -187,6 +187,9 @@ impl Environment for PythonEnvironment {
         if !fits {
             return Err(SnapshotError::Mismatch { what: "its actions" });
         }
+        if !state.seed.may_be() {
+            return Err(SnapshotError::Mismatch { what: "number of the episode" });
+        }
         self.metrics.fill(0.0);
         let kind = self.snapshot;
         let found = self.find_place().map(|place| {
@@ -249,8 +252,8 @@ mod tests {
     use super::*;
     use crate::settings::{PythonSettings, SpecSetting, WorldSpec};
 
-    /// Plays an episode of twelve steps, of which eight can be kept; returns how many it has had, and the actions since.
-    fn play(snapshot: SnapshotKind) -> Result<(usize, Vec<u8>), String> {
+    /// Makes an environment that keeps eight steps of an episode.
+    fn environment(snapshot: SnapshotKind) -> PythonEnvironment {
         let fake = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tests/worker/fake.py");
         let heads = vec![Head { name: "action".to_owned(), n_choices: 2 }];
         let world = WorldSpec { obs_dim: 4, heads, versions: BTreeMap::new() };
@@ -265,8 +268,12 @@ mod tests {
         workers.permit_configured();
         let launch = workers.launch(&settings).map_err(|error| error.to_string());
         let launch = launch.map(|launch| WorkerLaunch { max_action_bytes: 8, ..launch });
-        let mut env = PythonEnvironment::new(workers, launch, snapshot, spec);
-        let mut observation = [0.0; 4];
+        PythonEnvironment::new(workers, launch, snapshot, spec)
+    }
+
+    /// Plays an episode of twelve steps; returns how many it has had, and the actions since.
+    fn play(snapshot: SnapshotKind) -> Result<(usize, Vec<u8>), String> {
+        let (mut env, mut observation) = (environment(snapshot), [0.0; 4]);
         env.reset(EpisodeSeed { run_seed: 1, env_id: EnvId(3), episode: 0 }, &mut observation);
         for step in 0..12 {
             let outcome = env.step(&[step % 2], &mut observation);
@@ -279,6 +286,19 @@ mod tests {
         let link = place.link();
         let slot = link.slot(place.index());
         Ok((slot.n_steps(), slot.actions.clone()))
+    }
+
+    #[test]
+    fn an_episode_that_no_run_reaches_is_not_gone_on_with() {
+        let seed = EpisodeSeed { run_seed: 1, env_id: EnvId(3), episode: u64::MAX };
+        let (base, actions) = (Vec::new(), Vec::new());
+        let state = WorkerState { seed, n_before: 0, base, actions, observed: 0 };
+        let mut bytes = Vec::new();
+        write_snapshot(&state, &mut bytes);
+        let mut env = environment(SnapshotKind::Replay);
+        let refused = env.read_state(&bytes, &mut [0.0; 4]).unwrap_err();
+        assert!(refused.to_string().ends_with("number of the episode"), "{refused}");
+        assert!(env.place.is_none(), "no worker is started for it");
     }
 
     #[test]

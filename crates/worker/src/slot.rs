@@ -65,7 +65,7 @@ impl WorkerSlot {
 
     /// Returns the seed of the next episode of the same environment.
     pub(crate) fn next_seed(&self) -> EpisodeSeed {
-        EpisodeSeed { episode: self.seed.episode + 1, ..self.seed }
+        self.seed.following()
     }
 
     /// Returns how many steps of the episode were taken.
