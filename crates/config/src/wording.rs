@@ -30,7 +30,7 @@ pub(crate) fn kind(toml: &str) -> &str {
     }
 }
 
-/// Rewords what was given: `type: integer `3``.
+/// Rewords what was given: the type, and the value where one is shown.
 fn shown(given: &str) -> String {
     let words = [
         ("integer `", "whole number `"),
@@ -45,7 +45,7 @@ fn shown(given: &str) -> String {
     format!("{what}: {}", plain.as_deref().unwrap_or(value))
 }
 
-/// Rewords what is allowed instead of `given`.
+/// Rewords what is allowed instead.
 fn allowed<'m>(expected: &'m str, given: &str) -> &'m str {
     match expected {
         "u8" | "u16" | "u32" | "u64" | "usize" if given.starts_with("value: integer `-") => {

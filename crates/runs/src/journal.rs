@@ -41,10 +41,12 @@ impl Journal {
     /// line, if there are some. A journal may be larger than the memory: it is read line by line.
     pub(crate) fn rewind(&mut self, n_updates: u64) -> io::Result<Option<MissingUpdates>> {
         let (mut is_as_it_was, mut found) = (true, FoundUpdates::default());
-        self.for_lines_until(n_updates, &mut |line, kept| {
+        self.for_lines_until(n_updates, |line, kept| {
             // Of the last line only its end may be missing.
             is_as_it_was &= kept.is_some() && line.ends_with(b"\n");
-            kept.into_iter().for_each(|update| found.take_in(update));
+            if let Some(update) = kept {
+                found.take_in(update);
+            }
             Ok(())
         })?;
         found.take_in(n_updates.saturating_add(1));
@@ -53,7 +55,7 @@ impl Journal {
             return Ok(found.missing);
         }
         let mut kept = io::BufWriter::new(PartialFile::create(&self.path)?);
-        self.for_lines_until(n_updates, &mut |line, update| {
+        self.for_lines_until(n_updates, |line, update| {
             if update.is_none() {
                 return Ok(());
             }
@@ -69,7 +71,7 @@ impl Journal {
     fn for_lines_until(
         &self,
         n_updates: u64,
-        take: &mut dyn FnMut(&[u8], Option<u64>) -> io::Result<()>,
+        mut take: impl FnMut(&[u8], Option<u64>) -> io::Result<()>,
     ) -> io::Result<()> {
         lines(&self.path, |line| {
             let parsed = serde_json::from_slice::<Value>(line).ok();
