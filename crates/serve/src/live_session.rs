@@ -646,6 +646,11 @@ impl LiveSession {
         self.lost_ns + KEPT
     }
 
+    /// Returns whether the next observation goes on where the session was, or there is nothing yet that it could go on from.
+    pub(crate) fn goes_on(&self) -> bool {
+        self.is_begun || self.last_seq.is_none()
+    }
+
     /// Forgets the past, but not the numbers: the next observation begins an episode.
     pub fn forget(&mut self) {
         self.is_begun = false;

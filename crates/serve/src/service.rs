@@ -470,13 +470,15 @@ impl LiveService {
             let mut session = make(kept.id, plan.clone());
             if session.restore(kept.snapshot) {
                 let age = u64::try_from(self.unix(now).saturating_sub(kept.at));
-                if age.is_ok_and(|age| age <= session.kept_for()) {
-                    notes.push("the session goes on where it was".to_owned());
-                } else {
+                if !age.is_ok_and(|age| age <= session.kept_for()) {
                     session.forget();
-                    let note = "the numbers continue; what was said before is too long ago, so a new episode begins";
-                    notes.push(note.to_owned());
                 }
+                let note = if session.goes_on() {
+                    "the session goes on where it was"
+                } else {
+                    "the numbers continue; what was said before is too long ago, so a new episode begins"
+                };
+                notes.push(note.to_owned());
                 return (session, notes);
             }
         }

@@ -48,7 +48,7 @@ pub enum Silence {
     Stale(f64),
     /// Nothing has come for so many seconds.
     Quiet(f64),
-    /// Nothing has come for so long that the session is over.
+    /// No observation has been taken for so long that the session is over.
     Forgotten,
     /// The client is gone.
     ClientGone,
@@ -78,7 +78,9 @@ impl fmt::Display for Silence {
             }
             Self::Stale(after) => write!(f, "the newest observation is older than {after} s"),
             Self::Quiet(after) => write!(f, "no observation has come for {after} s"),
-            Self::Forgotten => f.write_str("nothing has come for ten minutes; open a new session"),
+            Self::Forgotten => {
+                f.write_str("no observation has been taken for ten minutes; open a new session")
+            }
             Self::ClientGone => f.write_str("the client is gone"),
             Self::Ended => f.write_str("the episode has ended; a new one has another number"),
             Self::Refused(n, last) => {

@@ -395,7 +395,7 @@ fn a_session_to_which_nothing_comes_for_ten_minutes_says_that_it_is_closed() {
         let why = bench.session.end(bench.told.now, &mut bench.told);
         assert_eq!(why, Some(&Silence::Forgotten), "{state:?}");
         assert_eq!(bench.last_status()["state"], "closed");
-        let why = "nothing has come for ten minutes; open a new session";
+        let why = "no observation has been taken for ten minutes; open a new session";
         assert_eq!(bench.last_status()["why"], why);
     }
 }
@@ -606,6 +606,7 @@ fn a_client_that_was_lost_for_long_is_kept_without_its_past() {
         assert_eq!(bench.state(), LiveState::Lost);
         let mut restarted = Bench::open(true, &json!({}));
         assert!(restarted.session.restore(bench.session.snapshot(bench.told.now)));
+        assert_eq!(restarted.session.goes_on(), goes_on, "after {ms} ms");
         restarted.seq = bench.seq;
         restarted.until(1_000);
         restarted.observe();
