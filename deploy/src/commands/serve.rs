@@ -264,7 +264,19 @@ struct StateDirectory {
 impl StateDirectory {
     fn open(path: &Path) -> anyhow::Result<Arc<dyn StateStore>> {
         fs::create_dir_all(path).with_context(|| format!("cannot make {}", path.display()))?;
-        match lock_file(&path.join(".lock")) {
+        let lock = path.join(".lock");
+        // What is old is removed there: it must not be another program's.
+        if lock.symlink_metadata().is_err()
+            && let Some(state) =
+                states(path).with_context(|| format!("cannot read {}", path.display()))?.first()
+        {
+            anyhow::bail!(
+                "{} is no notifier's, as there is no .lock beside it: choose another directory; if it is a copy of a notifier's \
+                 states, make an empty .lock there",
+                state.display()
+            );
+        }
+        match lock_file(&lock) {
             Ok(lock) => Ok(Arc::new(Self { path: path.to_owned(), _lock: lock })),
             Err(TryLockError::WouldBlock) => Err(anyhow::anyhow!(
                 "{} is another notifier's that is at work: give each a directory of its own",
@@ -280,19 +292,10 @@ impl StateDirectory {
         self.path.join(format!("{client}{STATE}"))
     }
 
-    /// Lists the states that are too old or too many, with what a killed notifier has left of one. Files of others are not touched.
+    /// Lists the states that are too old or too many. Files of others are not touched.
     fn old_states(&self) -> io::Result<Vec<PathBuf>> {
-        let mut states = Vec::new();
-        for entry in fs::read_dir(&self.path)? {
-            let entry = entry?;
-            let (name, path) = (entry.file_name(), entry.path());
-            let name = name.to_string_lossy();
-            let client = replaced_name(&name).unwrap_or(&name).strip_suffix(STATE);
-            let is_state = client.is_some_and(|client| ClientName::new(client).is_ok());
-            if is_state && entry.file_type()?.is_file() {
-                states.extend(clock::age(&path).map(|age| (age, path)));
-            }
-        }
+        let aged = |path: PathBuf| clock::age(&path).map(|age| (age, path));
+        let mut states: Vec<_> = states(&self.path)?.into_iter().filter_map(aged).collect();
         states.sort_unstable();
         let n_young = states.partition_point(|(age, _)| *age <= STATE_LASTS);
         Ok(states.split_off(n_young.min(MAX_STATES)).into_iter().map(|(_, path)| path).collect())
@@ -308,6 +311,22 @@ impl StateDirectory {
         }
         removed
     }
+}
+
+/// Lists the states in a directory, with what a killed notifier has left of one.
+fn states(directory: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut states = Vec::new();
+    for entry in fs::read_dir(directory)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        let client = replaced_name(&name).unwrap_or(&name).strip_suffix(STATE);
+        let is_state = client.is_some_and(|client| ClientName::new(client).is_ok());
+        if is_state && entry.file_type()?.is_file() {
+            states.push(entry.path());
+        }
+    }
+    Ok(states)
 }
 
 impl StateStore for StateDirectory {
@@ -423,5 +442,17 @@ mod tests {
         let error = StateDirectory::open(&states).unwrap_err();
         assert!(error.to_string().contains("another notifier's that is at work"), "{error}");
         drop(held);
+    }
+
+    #[test]
+    fn a_directory_of_another_program_is_refused_and_a_copy_of_a_notifiers_needs_a_lock() {
+        let place = tempfile::tempdir().unwrap();
+        let other = place.path().join("bot.session");
+        aged(&other, Duration::from_hours(99));
+        let error = StateDirectory::open(place.path()).unwrap_err().to_string();
+        assert!(error.contains("bot.session is no notifier's, as there is no .lock"), "{error}");
+        assert_eq!(names(place.path()), ["bot.session"]);
+        File::create(place.path().join(".lock")).unwrap();
+        StateDirectory::open(place.path()).unwrap();
     }
 }
