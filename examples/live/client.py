@@ -18,7 +18,7 @@ ENDPOINT = sys.argv[1]
 STEP = float(sys.argv[2]) if len(sys.argv) > 2 else 0.3
 CLIENT, KEY = "robot-1", "leadtime/live/1/notifier/robot-1"
 START = secrets.token_hex(8)
-here, was_here = set(), None
+here, opener = set(), None
 
 
 def seen(step):
@@ -42,14 +42,11 @@ def on_status(sample):
 
 
 def on_presence(sample):
-    global was_here
+    start, has_come = str(sample.key_expr).rsplit("/", 1)[1], sample.kind == zenoh.SampleKind.PUT
+    (here.add if has_come else here.discard)(start)
     # One that is started again may show its new token before the old one goes.
-    (here.discard if sample.kind == zenoh.SampleKind.DELETE else here.add)(str(sample.key_expr))
-    if was_here and not here:
-        print("     the notifier is gone: nobody speaks")
-    elif was_here is False and here:
-        print("     the notifier is back: ask it for a session again")
-    was_here = bool(here)
+    if opener and opener not in here and (has_come or start == opener or not here):
+        print("     the notifier was started again: ask it for a session again" if here else "     the notifier is gone: nobody speaks")
 
 
 config = zenoh.Config.from_json5(json.dumps({
@@ -73,6 +70,7 @@ with session:
         # The network's word for one that is there and stands still.
         sys.exit("the notifier does not answer" if said == "Timeout" else f"refused: {said}")
     answer = json.loads(reply.ok.payload.to_string())
+    opener = answer["start"]
     print(f"session {answer['session']}: {answer['obs_dim']} numbers, topics {', '.join(answer['topics'])}")
     sights = session.declare_publisher(
         f"{KEY}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)

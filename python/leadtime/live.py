@@ -52,9 +52,9 @@ class Notifier:
                 raise ValueError(f"{what} {name!r}: a name has 1 to 48 of a-z, 0-9 and `-`")
         self._key = f"leadtime/live/1/{service}/{client}"
         self._said, self._status, self._n_statuses = queue.Queue(MAX_EVENTS), {}, 0
-        # The notifiers that are there, by their tokens; None before the first was seen. Among them are those of which one has opened
-        # the session: one that is started again has another token, and may show it before the old one goes.
-        self._here, self._openers, self._is_open = None, frozenset(), False
+        # Starts of the notifier that are there, and that are gone, by their tokens: one that is started again may show its token before
+        # the old one goes.
+        self._here, self._gone = frozenset(), frozenset()
         self._patience, self._began = patience, time.monotonic()
         settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
         try:
@@ -66,7 +66,7 @@ class Notifier:
         except BaseException:
             self._session.close()
             raise
-        self._seq, self._clock, self._is_open = self.answer["last_seq"], clock, True
+        self._seq, self._clock = self.answer["last_seq"], clock
         self._sights = self._session.declare_publisher(
             f"{self._key}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)
 
@@ -93,14 +93,11 @@ class Notifier:
         raise Lost(f"no notifier `{service}` answers within {self._patience:g} s")
 
     def _on_presence(self, sample):
-        here = self._here or frozenset()
-        token = {str(sample.key_expr)}
-        if sample.kind != zenoh.SampleKind.PUT:
-            self._here = here - token
-            return
-        if not self._is_open or not self._openers:
-            self._openers |= token
-        self._here = here | token
+        start = {str(sample.key_expr).rsplit("/", 1)[1]}
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._here, self._gone = self._here | start, self._gone - start
+        else:
+            self._here, self._gone = self._here - start, self._gone | start
 
     def _on_say(self, sample):
         event = json.loads(sample.payload.to_string())
@@ -119,7 +116,7 @@ class Notifier:
 
     def _why_lost(self):
         """Says why nothing is to be expected of this session at present; None if something is."""
-        if self._here is not None and not self.is_here:
+        if not self.is_here:
             return "the notifier was started again: open a new session" if self._here else "the notifier is gone"
         if self._status.get("state") == "closed":
             return self._status.get("why") or "the session is closed: open a new one"
@@ -128,12 +125,12 @@ class Notifier:
     @property
     def status(self):
         """The notifier's last status: its state, and why nothing is said. Empty before the first, and where it is not there."""
-        return self._status if self._here is None or self.is_here else {}
+        return self._status if self.is_here else {}
 
     @property
     def is_here(self):
         """Whether the notifier is there that opened the session; one that was started again is another one."""
-        return bool(self._here and self._here & self._openers)
+        return self.answer["start"] not in self._gone
 
     def observe(self, observation, *, facts=None, episode=0, end=False):
         """Sends an observation, and returns its number.
@@ -143,7 +140,7 @@ class Notifier:
         """
         episode, facts = whole(episode, "episode"), named(facts)
         # One that is gone may only be out of reach, and come back.
-        if (self._here is None or self._here) and (why := self._why_lost()):
+        if (self.is_here or self._here) and (why := self._why_lost()):
             raise Lost(why)
         self._seq += 1
         message = {"seq": self._seq, "t": time.monotonic() - self._began, "obs": [float(x) for x in observation],

@@ -148,33 +148,29 @@ class Live(unittest.TestCase):
                 Notifier(self.endpoint, "h", "lander", service="still", patience=0.5)
         self.assertTrue(asked)
 
-    def test_a_notifier_that_is_started_again_is_there_although_its_old_token_goes_last(self):
+    def test_a_session_is_its_notifiers_that_answered_whatever_tokens_come_and_go(self):
         def token(kind, start):
             return SimpleNamespace(kind=kind, key_expr=f"leadtime/live/1/notifier/alive/{start}")
 
-        with Notifier(self.endpoint, "i", "lander") as notifier:
-            notifier._here, notifier._openers, notifier._is_open = None, frozenset(), False
-            for kind, start, is_here in [(zenoh.SampleKind.PUT, "a", True), (zenoh.SampleKind.PUT, "b", True),
-                                         (zenoh.SampleKind.DELETE, "a", True), (zenoh.SampleKind.DELETE, "b", False)]:
-                notifier._on_presence(token(kind, start))
-                self.assertEqual(notifier.is_here, is_here)
-
-    def test_a_session_whose_notifier_was_started_again_says_so(self):
-        def token(kind, start):
-            return SimpleNamespace(kind=kind, key_expr=f"leadtime/live/1/notifier/alive/{start}")
-
+        put, gone = zenoh.SampleKind.PUT, zenoh.SampleKind.DELETE
         with Notifier(self.endpoint, "j", "lander") as notifier:
             notifier.step(FALLING[0])
-            own = min(notifier._openers).rsplit("/", 1)[1]
-            notifier._on_presence(token(zenoh.SampleKind.DELETE, own))
-            self.assertEqual((notifier.is_here, notifier.status), (False, {}))
-            notifier._on_presence(token(zenoh.SampleKind.PUT, "another"))
+            own = notifier.answer["start"]
+            # One that was killed before: its token goes last.
+            for kind in (put, gone, put):
+                notifier._on_presence(token(kind, "another"))
+                self.assertTrue(notifier.is_here)
+                self.assertEqual(notifier.status["session"], notifier.answer["session"])
+            notifier._on_presence(token(gone, own))
             self.assertEqual((notifier.is_here, notifier.status), (False, {}))
             for send in (notifier.observe, notifier.step):
                 with self.assertRaisesRegex(Lost, "was started again: open a new session"):
                     send(FALLING[1])
+            notifier._on_presence(token(gone, "another"))
+            with self.assertRaisesRegex(Lost, "the notifier is gone"):
+                notifier.step(FALLING[1], timeout=5.0)
             # Only the way to it was gone.
-            notifier._on_presence(token(zenoh.SampleKind.PUT, own))
+            notifier._on_presence(token(put, own))
             self.assertTrue(notifier.is_here)
 
     def test_a_closed_session_says_why_and_not_what_was_wrong_before(self):
