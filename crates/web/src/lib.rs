@@ -12,7 +12,7 @@
 //! * Nothing can be changed through it: only GET and HEAD exist.
 //! * A page of another site cannot read it, whatever name it makes a browser believe in (DNS rebinding).
 //! * A cancelled token ends it within a second, open event streams included.
-//! * A client that does not read loses its place.
+//! * A client that does not read loses its place, and one that asks nothing loses it to the next.
 //!
 //! # Where to start
 //!
@@ -20,6 +20,7 @@
 
 mod error;
 mod guard;
+mod heads;
 mod server;
 
 pub use axum;

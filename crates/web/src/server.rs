@@ -20,7 +20,7 @@ use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use rustix::net::sockopt::set_tcp_user_timeout;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
@@ -28,8 +28,10 @@ use tracing::debug;
 
 use crate::error::Error;
 use crate::guard::Guard;
+use crate::heads::{HeadDebt, OwedHeads};
 
-/// How many connections are served at a time; further ones wait to be accepted.
+/// How many connections are served at a time. One more takes the place of the one that has owed the head of a request for the longest
+/// time; if all are being answered, it waits.
 const MAX_CONNECTIONS: usize = 64;
 /// How long open connections may take to end after the server was asked to.
 const GRACE: Duration = Duration::from_millis(700);
@@ -104,12 +106,9 @@ impl HttpServer {
     pub async fn serve(self, router: Router, guard: Guard, stop: CancellationToken) {
         let router = guard.protect(router);
         let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+        let heads = Arc::new(OwedHeads::default());
         let mut connections = JoinSet::new();
         loop {
-            let place = tokio::select! {
-                () = stop.cancelled() => break,
-                Ok(place) = Arc::clone(&places).acquire_owned() => place,
-            };
             let accepted = tokio::select! {
                 () = stop.cancelled() => break,
                 accepted = self.listener.accept() => accepted,
@@ -122,9 +121,13 @@ impl HttpServer {
                         debug!(%error, "a connection cannot be prepared");
                         continue;
                     }
-                    let (router, stop) = (router.clone(), stop.clone());
+                    let place = tokio::select! {
+                        () = stop.cancelled() => break,
+                        place = place(&places, &heads) => place,
+                    };
+                    let (router, stop, heads) = (router.clone(), stop.clone(), Arc::clone(&heads));
                     connections.spawn(async move {
-                        converse(stream, router, stop).await;
+                        converse(stream, router, stop, &heads).await;
                         drop(place);
                     });
                 }
@@ -142,6 +145,21 @@ impl HttpServer {
     }
 }
 
+/// Finds a place for a connection, if need be that of one that owes a head; `None` never comes, because places are never closed.
+async fn place(places: &Arc<Semaphore>, heads: &OwedHeads) -> Option<OwnedSemaphorePermit> {
+    if let Ok(place) = Arc::clone(places).try_acquire_owned() {
+        return Some(place);
+    }
+    let mut free = pin!(Arc::clone(places).acquire_owned());
+    while !heads.close_oldest() {
+        tokio::select! {
+            place = free.as_mut() => return place.ok(),
+            () = heads.one_more() => {}
+        }
+    }
+    free.await.ok()
+}
+
 /// Prepares a connection for events, which are small and wanted at once, and for clients that do not read: the system ends
 /// what waits for them for too long.
 fn prepare(stream: &TcpStream, write_time: Duration) -> io::Result<()> {
@@ -150,13 +168,21 @@ fn prepare(stream: &TcpStream, write_time: Duration) -> io::Result<()> {
 }
 
 /// Answers the requests of one connection.
-async fn converse(stream: TcpStream, router: Router, stop: CancellationToken) {
+async fn converse(
+    stream: TcpStream,
+    router: Router,
+    stop: CancellationToken,
+    heads: &Arc<OwedHeads>,
+) {
     let router = TowerToHyperService::new(router);
+    let debt = HeadDebt::new(heads);
+    let owing = Arc::clone(&debt);
     let answer = service_fn(move |request: hyper::Request<Incoming>| {
-        let router = router.clone();
+        let (router, answering) = (router.clone(), owing.answering());
         async move {
             let answer = hyper::service::Service::call(&router, request.map(Body::new)).await;
-            Ok::<_, Infallible>(answer.unwrap_or_else(|never| match never {}))
+            let answer = answer.unwrap_or_else(|never| match never {});
+            Ok::<_, Infallible>(answer.map(|body| answering.with(body)))
         }
     });
     let mut protocol = http1::Builder::new();
@@ -164,6 +190,7 @@ async fn converse(stream: TcpStream, router: Router, stop: CancellationToken) {
     let mut connection = pin!(protocol.serve_connection(TokioIo::new(stream), answer));
     let ended = tokio::select! {
         ended = connection.as_mut() => ended,
+        () = debt.has_to_go() => return debug!("a connection that owes a request makes room"),
         () = stop.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await
@@ -282,21 +309,68 @@ mod tests {
         serving.await.unwrap();
     }
 
+    const ASKED: &str = "GET / HTTP/1.1\r\nHost: localhost\r\n\r\n";
+
+    /// Reads until the other side has closed the connection.
+    async fn is_closed(stream: &mut TcpStream) {
+        let mut rest = Vec::new();
+        let closed = timeout(Duration::from_secs(10), stream.read_to_end(&mut rest)).await;
+        // It may be reset as well.
+        drop(closed.expect("it is closed soon"));
+    }
+
     #[tokio::test]
-    async fn connections_beyond_the_limit_wait_for_a_place() {
+    async fn connections_that_send_no_request_keep_nobody_out() {
         let router = Router::new().route("/", get(|| async { "here" }));
         let (address, stop, serving) = started(router).await;
+        // This one sends no second request.
+        let mut answered = ask(address, ASKED, "here").await;
         let mut silent = Vec::new();
-        for _ in 0..MAX_CONNECTIONS {
+        for _ in 0..150 {
             silent.push(TcpStream::connect(address).await.unwrap());
         }
-        let request = "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
-        let waiting = ask(address, request, "here");
-        let mut waiting = pin!(waiting);
+        let mut begun = TcpStream::connect(address).await.unwrap();
+        begun.write_all(b"GET / HTTP/1.1\r\n").await.unwrap();
+        ask(address, ASKED, "here").await;
+        for stream in silent.iter_mut().take(80) {
+            is_closed(stream).await;
+        }
+        is_closed(&mut answered).await;
+        begun.write_all(b"Host: localhost\r\n\r\n").await.unwrap();
+        let mut head = [0; 15];
+        begun.read_exact(&mut head).await.unwrap();
+        assert_eq!(&head, b"HTTP/1.1 200 OK", "newer ones stay");
+        stop.cancel();
+        serving.await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn connections_beyond_the_limit_wait_while_all_others_are_answered() {
+        let (address, stop, serving) =
+            started(endless().route("/", get(|| async { "here" }))).await;
+        let mut open = Vec::new();
+        for _ in 0..MAX_CONNECTIONS {
+            let request = "GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n";
+            open.push(ask(address, request, "data: hello").await);
+        }
+        let mut waiting = pin!(ask(address, ASKED, "here"));
         assert!(timeout(Duration::from_millis(100), waiting.as_mut()).await.is_err());
-        silent.pop();
+        open.pop();
         waiting.await;
         stop.cancel();
         serving.await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_connection_owes_a_head_but_for_the_time_of_an_answer() {
+        let heads = Arc::new(OwedHeads::default());
+        let (first, second) = (HeadDebt::new(&heads), HeadDebt::new(&heads));
+        let answer = first.answering().with(Body::empty());
+        assert_eq!(heads.len(), 1);
+        drop(answer);
+        assert!(heads.close_oldest());
+        timeout(Duration::from_secs(10), second.has_to_go()).await.expect("it owes for longer");
+        drop((first, second));
+        assert!(!heads.close_oldest(), "all have ended");
     }
 }
