@@ -223,17 +223,30 @@ fn on_announcement(latest: &Latest<ObserverEvent>, refused: &ToldRefusals, sampl
     let Some(domain) = keys::parse_announcement(sample.key_expr()) else { return };
     match weights::read_announcement(sample) {
         Ok(announcement) => {
-            let key = domain.to_string();
+            let key = newest_of(&domain, &announcement);
             latest.put(&key, ObserverEvent::Announcement { domain, announcement });
         }
         Err(refusal) => refused.tell("announcement", &refusal),
     }
 }
 
+/// Names what a newer announcement takes the place of: the same learner's, so that no stranger's takes that of ours.
+fn newest_of(domain: &DomainName, announcement: &Announcement) -> String {
+    format!("{domain}/{}", announcement.learner)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::test_support::*;
+
+    #[test]
+    fn a_strangers_announcement_takes_the_place_of_no_learners() {
+        let of = |learner, versions| newest_of(&domain(), &Announcement { learner, versions });
+        let newer = vec![(PolicyVersion(1), [0; 32])];
+        assert_eq!(of(Incarnation(1), Vec::new()), of(Incarnation(1), newer));
+        assert_ne!(of(Incarnation(1), Vec::new()), of(Incarnation(2), Vec::new()));
+    }
 
     #[tokio::test(flavor = "multi_thread")]
     async fn an_observer_whose_connection_leads_nowhere_goes_on_with_another() {

@@ -205,6 +205,15 @@ struct Play {
     is_pulling: bool,
 }
 
+impl Play {
+    /// Takes in an announcement of the learner that is followed; others may be anybody's.
+    fn offer(&mut self, learner: Option<&str>, domain: DomainName, announcement: Announcement) {
+        if learner == Some(announcement.learner.hex().as_str()) {
+            self.offered = Some((domain, announcement));
+        }
+    }
+}
+
 struct Follower {
     run: RunName,
     link: Arc<ObserverLink>,
@@ -242,11 +251,13 @@ impl Follower {
     }
 
     fn event(&mut self, event: ObserverEvent) {
-        if let (ObserverEvent::Announcement { domain, announcement }, Some(play)) =
-            (&event, &mut self.play)
-        {
-            play.offered = Some((domain.clone(), announcement.clone()));
-            self.pull();
+        if let ObserverEvent::Announcement { domain, announcement } = event {
+            let learner = self.page.with(|view, _| view.learner().map(str::to_owned));
+            if let Some(play) = &mut self.play {
+                play.offer(learner.as_deref(), domain, announcement);
+                self.pull();
+            }
+            return;
         }
         if take_in(&self.page, event) {
             self.is_known = false;
@@ -329,5 +340,35 @@ impl Follower {
             let pulled = pulled.ok().map(|weights| (version.0, weights));
             drop(answers.send(Answer::Pulled(pulled)).await);
         });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::PolicyVersion;
+
+    use super::*;
+
+    #[test]
+    fn only_the_learner_that_is_followed_offers_what_is_played() {
+        let watcher: Arc<Page> = Page::new("r", || 0.0);
+        let mut play = Play {
+            plan: Arc::new(|_| Err("nothing is played".to_owned())),
+            flight: FlightThread::start(watcher).unwrap(),
+            offered: None,
+            pulled: None,
+            pulled_at: None,
+            is_pulling: false,
+        };
+        let (own, stranger) = (Incarnation(1), Incarnation(2));
+        let mut offer = |learner, version| {
+            let versions = vec![(PolicyVersion(version), [0; 32])];
+            let domain = DomainName::new("lander").unwrap();
+            play.offer(Some(&own.hex()), domain, Announcement { learner, versions });
+            play.offered.as_ref().map(|(_, offered)| offered.newest())
+        };
+        assert_eq!(offer(stranger, 99), None);
+        assert_eq!(offer(own, 3), Some(PolicyVersion(3)));
+        assert_eq!(offer(stranger, 99), Some(PolicyVersion(3)));
     }
 }

@@ -128,6 +128,7 @@ async fn curves_as_a_whole_are_told_once_a_second_at_most() {
         // A learner that starts again and again.
         page.with(|view, now| {
             let told = json!({"kind": "update", "update": tick + 1});
+            view.learner_left(&(tick.max(1) - 1).to_string(), now);
             view.learner_says(&tick.to_string(), told, now);
         });
         page.flush(start + Duration::from_millis(100 * tick));
@@ -151,6 +152,7 @@ async fn what_is_due_when_a_page_comes_is_told_once_to_it_and_to_those_before_it
     let change = |update: u64| {
         page.with(|view, now| {
             let told = json!({"kind": "update", "update": update});
+            view.learner_left(&(update - 1).to_string(), now);
             view.learner_says(&update.to_string(), told, now);
         });
     };

@@ -36,6 +36,8 @@ const WINDOW: f64 = 60.0;
 const N_WINDOW: usize = 400;
 /// After so long without an update something is missing, in seconds.
 const STALLED: f64 = 30.0;
+/// After so long without a word of its learner another start may take its place, in seconds; a learner says something every second.
+const SILENT: f64 = 10.0;
 /// Shares from which on the waiting of the learner, and of the actors, is worth a sentence.
 const LEARNER_WAITS: f64 = 0.3;
 const ACTORS_WAIT: f64 = 0.5;
@@ -128,6 +130,8 @@ pub struct RunView {
     learner: Option<String>,
     /// The start of the learner before that one.
     previous: Option<String>,
+    /// When the learner was found to be there, or said something last.
+    heard_at: Option<f64>,
     /// The first update that this start of the learner published.
     first_told: Option<u64>,
     /// Whether it reported how the run went before.
@@ -231,15 +235,23 @@ impl RunView {
     /// Takes in what a learner publishes: an update, its roster, or its end. Returns whether it is another start than
     /// before.
     pub fn learner_says(&mut self, incarnation: &str, told: Value, now: f64) -> bool {
+        let is_new = self.learner.as_deref() != Some(incarnation);
         // Words may come after the end of the start that said them was seen: they bring no learner back.
-        if self.previous.as_deref() == Some(incarnation) {
+        let is_old = self.previous.as_deref() == Some(incarnation) && !self.is_silent(now);
+        if is_new && (is_old || !self.learner_joined(incarnation, now)) {
             return false;
         }
-        let is_new = self.learner.as_deref() != Some(incarnation);
-        if is_new {
-            self.learner_joined(incarnation, now);
+        self.heard_at = Some(now);
+        let kind = told["kind"].as_str();
+        if self.ended.is_some() && matches!(kind, Some("update" | "roster")) {
+            self.ended = None;
+            self.say(
+                "warn",
+                "the learner is still at work: another process told of its end".to_owned(),
+                now,
+            );
         }
-        match told["kind"].as_str() {
+        match kind {
             Some("update") => {
                 if let Value::Object(line) = told {
                     self.update(line, now);
@@ -312,7 +324,7 @@ impl RunView {
     /// Goes on where the clock was set back: what lies ahead of it would count as new until it is there again.
     fn follow_clock(&mut self, now: f64) {
         self.window.retain(|times| times.at <= now);
-        for at in [&mut self.last_at, &mut self.lost_at] {
+        for at in [&mut self.last_at, &mut self.lost_at, &mut self.heard_at] {
             *at = at.map(|at| at.min(now));
         }
     }
@@ -348,12 +360,22 @@ impl RunView {
         }
     }
 
-    /// Notes that a learner is there. Returns whether it is another start than before.
+    /// Returns whether the learner that is followed has said nothing for long.
+    fn is_silent(&self, now: f64) -> bool {
+        self.heard_at.is_none_or(|at| now - at >= SILENT)
+    }
+
+    /// Notes that a learner is there. Returns whether it is another start than before, which is followed from now on: anybody can show
+    /// that a learner is there, so as long as one is there and says something, no other takes its place.
     pub fn learner_joined(&mut self, incarnation: &str, now: f64) -> bool {
         if self.learner.as_deref() == Some(incarnation) {
             self.lost_at = None;
             return false;
         }
+        if self.has_learner() && !self.is_silent(now) {
+            return false;
+        }
+        self.heard_at = Some(now);
         if self.learner.is_some() {
             self.mark(update_of(&self.last), "learner restarted", now);
         } else {
@@ -469,6 +491,11 @@ impl RunView {
     /// Returns the number of the newest update.
     pub(crate) fn newest(&self) -> u64 {
         update_of(&self.last)
+    }
+
+    /// Returns the start of the learner that is followed.
+    pub(crate) fn learner(&self) -> Option<&str> {
+        self.learner.as_deref()
     }
 
     pub(crate) fn has_learner(&self) -> bool {

@@ -225,7 +225,52 @@ fn last_words_bring_no_learner_back() {
     view.learner_joined("02", 1005.0);
     assert!(!view.learner_says("01", line(5), 1005.1), "the older start is old news");
     assert_eq!((view.generation(), view.newest(), view.has_learner()), (1, 0, true));
+    view.learner_left("02", 1005.5);
     assert!(view.learner_says("03", line(4), 1006.0), "its presence was not told yet");
+}
+
+#[test]
+fn an_end_that_is_none_is_taken_back() {
+    let mut view = at_update(3);
+    view.learner_says("01", json!({"kind": "end", "how": "error"}), 1003.1);
+    assert_eq!(view.phase(1003.1), RunPhase::Failed);
+    view.learner_says("01", line(4), 1004.0);
+    assert_eq!((view.phase(1004.0), view.newest()), (RunPhase::Training, 4));
+    let log: Vec<&str> = view.log_after(0).map(|line| line.text.as_str()).collect();
+    let told = [
+        "the learner ended with an error",
+        "the learner is still at work: another process told of its end",
+    ];
+    assert_eq!(log[1..], told);
+    // So it is while actors are missing and no update comes.
+    view.learner_says("01", json!({"kind": "end", "how": "finished"}), 1004.1);
+    view.learner_says("01", json!({"kind": "roster", "n_needed": 3, "actors": []}), 1005.0);
+    assert_eq!(view.phase(1005.0), RunPhase::Gathering);
+}
+
+#[test]
+fn nobody_takes_the_place_of_a_learner_that_is_there_and_says_something() {
+    let mut view = at_update(30);
+    assert!(!view.learner_joined("02", 1031.0), "anybody can show presence");
+    assert!(!view.learner_says("02", line(999), 1031.0));
+    view.learner_left("02", 1031.5);
+    view.learner_says("01", line(31), 1032.0);
+    assert_eq!((view.newest(), view.generation(), view.learner()), (31, 0, Some("01")));
+    // One that begins while the old one's presence still lasts is followed once that is over.
+    assert!(!view.learner_joined("03", 1032.5));
+    view.learner_left("01", 1034.0);
+    assert!(view.learner_says("03", line(32), 1034.2));
+    // Presence that came first, and that nothing is behind, gives way to who says something.
+    let mut late = RunView::new("r");
+    assert!(late.learner_joined("stranger", 1000.0));
+    assert!(!late.learner_says("01", line(1), 1000.0 + SILENT - 1.0));
+    assert!(late.learner_says("01", line(2), 1000.0 + SILENT));
+    assert_eq!((late.newest(), late.learner()), (2, Some("01")));
+    // So does presence in whose favour the learner's own was lost.
+    late.learner_left("01", 1010.5);
+    assert!(late.learner_joined("stranger", 1011.0));
+    assert!(!late.learner_says("01", line(3), 1012.0), "these may be its last words");
+    assert!(late.learner_says("01", line(4), 1011.0 + SILENT));
 }
 
 #[test]
@@ -273,7 +318,7 @@ fn messages_of_a_peer_have_limits() {
     view.history(&json!({"x": [9], "scalars": told}), 1004.0);
     assert_eq!(scalars(&view).len(), MAX_CURVES);
     for start in 0..1_000 {
-        view.learner_joined(&start.to_string(), 1005.0);
+        view.learner_joined(&start.to_string(), 1005.0 + SILENT * f64::from(start + 1));
     }
     let marks = view.history_json(0)["marks"].as_array().unwrap().len();
     assert_eq!((marks, view.generation()), (MAX_MARKS, 1_000));
