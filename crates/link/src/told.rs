@@ -22,17 +22,35 @@ pub(crate) struct ToldRefusals(Mutex<BTreeMap<(&'static str, RefusalCause), Rare
 pub struct RareLine {
     at: Option<Instant>,
     n: u64,
+    /// How many more lines there may be in the minute that the first one begins, and how many there were.
+    n_more: u32,
+    n_told: u32,
 }
 
 impl RareLine {
-    /// Counts one more, and returns how many there were if it is time for a line: once a minute.
+    /// Makes one for what is rightly told every time while it happens no more often than this in a minute.
+    pub fn of_many(n_lines: u32) -> Self {
+        Self { n_more: n_lines.saturating_sub(1), ..Self::default() }
+    }
+
+    /// Counts one more, and returns how many there were since the last line if it is time for another: once a minute, or as often as
+    /// it was made for.
     pub fn next(&mut self, now: Instant) -> Option<u64> {
         self.n += 1;
-        if self.at.is_some_and(|at| now.saturating_duration_since(at) < LINE_EVERY) {
+        if self.at.is_none_or(|at| now.saturating_duration_since(at) >= LINE_EVERY) {
+            (self.at, self.n_told) = (Some(now), 0);
+        } else if self.n_told < self.n_more {
+            self.n_told += 1;
+        } else {
             return None;
         }
-        self.at = Some(now);
         Some(std::mem::take(&mut self.n))
+    }
+
+    /// Does the same, and returns what a line ends with: how often there was reason for one since the last, if not only now.
+    pub fn suffix(&mut self, now: Instant) -> Option<String> {
+        let n = self.next(now)?;
+        Some(if n > 1 { format!(" ({n} times since the last line)") } else { String::new() })
     }
 }
 
@@ -61,6 +79,16 @@ mod tests {
         let start = Instant::now();
         let at = |seconds| start + Duration::from_secs(seconds);
         assert_eq!([0, 1, 59, 60].map(|s| counted.next(at(s))), [Some(1), None, None, Some(3)]);
+    }
+
+    #[test]
+    fn what_is_told_every_time_is_counted_once_it_is_a_flood() {
+        let (mut counted, start) = (RareLine::of_many(3), Instant::now());
+        let mut at = |seconds| counted.next(start + Duration::from_secs(seconds));
+        let told = [0, 1, 2, 3, 4, 61, 62].map(&mut at);
+        assert_eq!(told, [Some(1), Some(1), Some(1), None, None, Some(3), Some(1)]);
+        let flood = (0..6_000).filter(|i| at(1_000 + i / 100).is_some());
+        assert_eq!(flood.count(), 3);
     }
 
     #[test]

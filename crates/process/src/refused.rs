@@ -115,9 +115,7 @@ fn tell(causes: &Receiver<DoorCause>) {
     let mut told: BTreeMap<DoorCause, RareLine> = BTreeMap::new();
     for cause in causes {
         let counted = told.entry(cause).or_default();
-        if let Some(n) = counted.next(Instant::now()) {
-            let others =
-                if n > 1 { format!(" ({n} times since the last line)") } else { String::new() };
+        if let Some(others) = counted.suffix(Instant::now()) {
             match cause {
                 DoorCause::EndedMeanwhile => {
                     tracing::warn!(
