@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
 
+use leadtime_link::RareLine;
 use leadtime_link::live::{LiveEvent, LiveServiceLink, OpenResponder, RobotKeys};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ClientName, Incarnation};
@@ -32,6 +34,8 @@ const MAX_REPORTS: usize = 1_024;
 const SWEEP_EVERY: u64 = 3_600_000_000_000;
 /// Between two lines in the log about the refused observations of one session, in nanoseconds.
 const REFUSALS_PAUSE: u64 = 60_000_000_000;
+/// The most lines in the log, of a kind and in a minute, about sessions that come and go: as many as there can be at once.
+const SESSION_LINES: u32 = MAX_SESSIONS as u32;
 
 /// What a session does whose client says nothing.
 const QUIET: [LiveState; 3] = [LiveState::Waiting, LiveState::Lost, LiveState::Closed];
@@ -99,6 +103,22 @@ impl RefusalLog {
         }
         (self.n_told, self.told_at) = (n_refused, Some(now));
         Some(n_new)
+    }
+}
+
+/// Lines of the log that clients cause, which can ask as often as they like.
+#[derive(Debug)]
+struct SessionLines {
+    refused: RareLine,
+    opened: RareLine,
+    displaced: RareLine,
+    over: RareLine,
+}
+
+impl Default for SessionLines {
+    fn default() -> Self {
+        let line = || RareLine::of_many(SESSION_LINES);
+        Self { refused: line(), opened: line(), displaced: line(), over: line() }
     }
 }
 
@@ -171,6 +191,7 @@ pub struct LiveService {
     sweep_due: u64,
     /// The checksum over the words.
     words: u32,
+    lines: SessionLines,
 }
 
 impl LiveService {
@@ -215,6 +236,7 @@ impl LiveService {
             keeper: keeper.map_err(ServiceError::Thread)?,
             sweep_due: 0,
             words,
+            lines: SessionLines::default(),
         })
     }
 
@@ -241,6 +263,7 @@ impl LiveService {
                 _ = looks.tick() => {
                     self.link.health().await?;
                     self.sweep();
+                    self.recount().await;
                 }
             }
         }
@@ -283,6 +306,33 @@ impl LiveService {
         }
     }
 
+    /// Asks who is there if something of that was not told, for want of room.
+    async fn recount(&mut self) {
+        if !self.link.take_missed() {
+            return;
+        }
+        // What waits is older than the answer.
+        for event in self.events.drain().collect::<Vec<_>>() {
+            self.take(event);
+        }
+        if let Some(here) = self.link.clients().await {
+            self.reconcile(&here);
+        }
+    }
+
+    fn reconcile(&mut self, here: &BTreeSet<(ClientName, Incarnation)>) {
+        let starts = |(client, starts): (&ClientName, &BTreeSet<Incarnation>)| {
+            starts.iter().map(|start| (client.clone(), *start)).collect::<Vec<_>>()
+        };
+        let known: BTreeSet<_> = self.present.iter().flat_map(starts).collect();
+        for (client, start) in known.difference(here) {
+            self.take(LiveEvent::Gone(client.clone(), *start));
+        }
+        for (client, start) in here.difference(&known) {
+            self.take(LiveEvent::Here(client.clone(), *start));
+        }
+    }
+
     fn tell_thread(&self, client: ClientName, start: Incarnation, is_here: bool) {
         if let Some(registered) = self.open.get(&client) {
             self.threads[registered.thread].order(ThreadOrder::Presence(client, start, is_here));
@@ -293,7 +343,9 @@ impl LiveService {
         match self.open_session(client, question) {
             Ok(answer) => responder.reply(answer),
             Err(refusal) => {
-                info!(%client, %refusal, "a session was refused");
+                if let Some(more) = self.lines.refused.suffix(Instant::now()) {
+                    info!(%client, %refusal, "a session was refused{more}");
+                }
                 responder.refuse(refusal.to_string());
             }
         }
@@ -382,7 +434,9 @@ impl LiveService {
         let (keys, writer) = robot.unzip();
         let port = self.link.port(client, is_raw, keys.as_ref(), self.threads[thread].waker())?;
         let (client, id) = (client.clone(), session.id().to_owned());
-        info!(%client, session = id, "a session is open");
+        if let Some(more) = self.lines.opened.suffix(Instant::now()) {
+            info!(%client, session = id, "a session is open{more}");
+        }
         let is_standing = writer.is_some();
         let name = client.clone();
         let last_seq = Arc::new(AtomicU64::new(session.last_seq()));
@@ -433,7 +487,9 @@ impl LiveService {
         let gone = gone.min_by_key(|(_, it)| !QUIET.contains(&it.state));
         let Some(client) = gone.map(|(client, _)| client.clone()) else { return false };
         if let Some(registered) = self.open.remove(&client) {
-            info!(%client, session = registered.id, "a session gives up its place to another client");
+            if let Some(more) = self.lines.displaced.suffix(Instant::now()) {
+                info!(%client, session = registered.id, "a session gives up its place to another client{more}");
+            }
             let order = ThreadOrder::Remove(client, Some(Silence::NoPlace));
             self.threads[registered.thread].order(order);
         }
@@ -535,7 +591,9 @@ impl LiveService {
             ThreadReport::Over { client, id, why } => {
                 if self.open.get(&client).is_some_and(|registered| registered.id == id) {
                     self.open.remove(&client);
-                    info!(%client, session = id, %why, "a session is over");
+                    if let Some(more) = self.lines.over.suffix(Instant::now()) {
+                        info!(%client, session = id, %why, "a session is over{more}");
+                    }
                     // Who said nothing for long may come back: nothing in its state would end the session again.
                     if why != Silence::Forgotten {
                         self.forget(&client);
@@ -778,6 +836,33 @@ mod tests {
         let mut heard = std::iter::from_fn(|| client.next(PATIENCE).transpose());
         assert!(heard.any(|heard| matches!(heard, Err(ClientError::Gone))));
         clients.close().await.unwrap();
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn clients_that_are_there_are_those_that_the_network_tells() {
+        let mut notifier = prepared(Arc::new(MemoryStore::default())).await;
+        let start = |name, start| (ClientName::new(name).unwrap(), Incarnation(start));
+        for (client, start) in [start("a", 1), start("a", 2), start("b", 3)] {
+            notifier.take(LiveEvent::Here(client, start));
+        }
+        // The first start of `a` and `b` went, `c` came, and nothing of that found room.
+        let here = BTreeSet::from([start("a", 2), start("c", 4)]);
+        notifier.reconcile(&here);
+        let starts = here.into_iter().map(|(client, start)| (client, BTreeSet::from([start])));
+        assert_eq!(notifier.present, starts.collect());
+        notifier.link.close().await.unwrap();
+    }
+
+    #[test]
+    fn a_flood_of_sessions_is_a_limited_number_of_lines() {
+        let (mut lines, start) = (SessionLines::default(), Instant::now());
+        let SessionLines { refused, opened, displaced, over } = &mut lines;
+        for line in [refused, opened, displaced, over] {
+            let told = (0..1_000).filter(|_| line.suffix(start).is_some());
+            assert_eq!(told.count(), MAX_SESSIONS);
+            let later = line.suffix(start + std::time::Duration::from_mins(1));
+            assert_eq!(later.unwrap(), " (937 times since the last line)");
+        }
     }
 
     #[test]
