@@ -2,11 +2,12 @@
 
 use std::io;
 use std::path::PathBuf;
+use std::time::Instant;
 
 use leadtime_learner::{
     HeldOutMeans, ProgressSink, RatedPolicy, RunEvent, RunHealth, UpdateProgress,
 };
-use leadtime_link::Archive;
+use leadtime_link::{Archive, RareLine};
 use leadtime_process::{MetricsPipe, ProcessTrace, shutdown};
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_runs::RunRecorder;
@@ -18,12 +19,49 @@ use tracing::{debug, error, info, warn};
 use crate::display::Display;
 use crate::service::{self, Service};
 
+/// The most lines in the log, in a minute, about actors that join, and about those that leave: who takes part without certificates may
+/// come under as many names as they like.
+const MEMBER_LINES: u32 = 64;
+
+/// The lines about actors that come and go.
+#[derive(Debug)]
+struct MemberLines {
+    joined: RareLine,
+    left: RareLine,
+}
+
+impl Default for MemberLines {
+    fn default() -> Self {
+        let line = || RareLine::of_many(MEMBER_LINES);
+        Self { joined: line(), left: line() }
+    }
+}
+
+impl MemberLines {
+    /// Returns the line about an event of the members, if it is time for one.
+    fn line(&mut self, event: &RunEvent, now: Instant) -> Option<String> {
+        match event {
+            RunEvent::ActorJoined { actor, n_actors } => {
+                let more = self.joined.suffix(now)?;
+                Some(format!("actor joined: {actor} ({}){more}", counted(n_actors, "actor")))
+            }
+            RunEvent::ActorLeft { actor, n_actors, n_envs } => {
+                let more = self.left.suffix(now)?;
+                let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
+                Some(format!("actor left: {actor}, which had {envs} ({actors} now){more}"))
+            }
+            _ => None,
+        }
+    }
+}
+
 /// Records a run's progress and shows it.
 #[derive(Debug)]
 pub(crate) struct RunSink {
     directory: PathBuf,
     recorder: RunRecorder,
     display: Display,
+    members: MemberLines,
     has_warned: bool,
     /// Whether it was logged that policies cannot be evaluated.
     has_told_failure: bool,
@@ -49,6 +87,7 @@ impl RunSink {
             directory,
             recorder,
             display: Display::new(),
+            members: MemberLines::default(),
             has_warned: false,
             has_told_failure: false,
             status: None,
@@ -136,6 +175,9 @@ impl ProgressSink for RunSink {
             // And what the last try takes.
             service::extend(*kept + shutdown::DEADLINE);
         }
+        if let Some(line) = self.members.line(event, Instant::now()) {
+            info!("{line}");
+        }
         log(event);
     }
 
@@ -206,13 +248,8 @@ fn log(event: &RunEvent) {
         CheckpointDamaged { path, damage } => {
             warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; using the previous one");
         }
-        ActorJoined { actor, n_actors } => {
-            info!("actor joined: {actor} ({})", counted(n_actors, "actor"));
-        }
-        ActorLeft { actor, n_actors, n_envs } => {
-            let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
-            info!("actor left: {actor}, which had {envs} ({actors} now)");
-        }
+        // Logged as often as they may be.
+        ActorJoined { .. } | ActorLeft { .. } => {}
         WaitingForActors { n_actors, n_needed } => {
             info!("waiting for actors: {n_actors} of {n_needed}");
         }
@@ -328,5 +365,33 @@ fn log_saving(event: &RunEvent) {
             );
         }
         _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use leadtime_proto::ActorId;
+
+    use super::*;
+
+    #[test]
+    fn actors_that_come_and_go_under_any_number_of_names_do_not_fill_the_log() {
+        let (mut lines, now) = (MemberLines::default(), Instant::now());
+        let mut tell = |n: usize, now| {
+            let actor = ActorId::new(format!("a{n}")).unwrap();
+            let joined = RunEvent::ActorJoined { actor: actor.clone(), n_actors: 1 };
+            let left = RunEvent::ActorLeft { actor, n_actors: 0, n_envs: 2 };
+            [joined, left].map(|event| lines.line(&event, now))
+        };
+        let [joined, left] = tell(0, now);
+        assert_eq!(joined.unwrap(), "actor joined: a0 (1 actor)");
+        assert_eq!(left.unwrap(), "actor left: a0, which had 2 environments (0 actors now)");
+        let n_told: usize = (1..1_000).map(|n| tell(n, now).iter().flatten().count()).sum();
+        assert_eq!(n_told, 2 * (MEMBER_LINES as usize - 1));
+        let [joined, _left] = tell(1_000, now + std::time::Duration::from_mins(1));
+        assert_eq!(
+            joined.unwrap(),
+            "actor joined: a1000 (1 actor) (937 times since the last line)"
+        );
     }
 }
