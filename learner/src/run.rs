@@ -76,7 +76,7 @@ enum LearnerWake {
 }
 
 /// By what a run is ended before its last update.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct RunStop {
     /// Asks the run to end with a checkpoint.
     pub ask: CancellationToken,
@@ -789,7 +789,7 @@ mod tests {
         let updated = run.training.updated().await.unwrap();
         let error = run.trained(updated).unwrap_err();
         assert!(matches!(error, Error::Link(_)), "{error}");
-        run.save_end(&CancellationToken::new().into()).await.unwrap();
+        run.save_end(&RunStop::default()).await.unwrap();
         let saved = run.store.newest::<Checkpoint>().unwrap().unwrap().state;
         // The state and the record of the run are of the same update.
         let n_rollouts: u64 = saved.record.staleness.values().sum();
@@ -804,7 +804,7 @@ mod tests {
         let checkpoints = directory.path().join("checkpoints");
         fs::rename(&checkpoints, directory.path().join("away")).unwrap();
         fs::write(&checkpoints, "in the way").unwrap();
-        run.save_end(&CancellationToken::new().into()).await.unwrap();
+        run.save_end(&RunStop::default()).await.unwrap();
         let heard = heard.lock().unwrap();
         let is_told = matches!(
             &heard[..],
