@@ -7,8 +7,9 @@ use serde::{Deserialize, Serialize};
 use super::error::SpecError;
 use crate::limits;
 
-/// Names of what evaluations compute of rewards, steps and metrics: no metric of a task has one of these.
-pub const COMPUTED: [&str; 14] = [
+/// Names of what evaluations compute of rewards, steps and metrics: no metric of a task has one of these. The two shares of
+/// messages that were followed are not among them: notifier tasks report them while they train.
+pub const COMPUTED: [&str; 12] = [
     "return",
     "length",
     "averted",
@@ -18,8 +19,6 @@ pub const COMPUTED: [&str; 14] = [
     "later_l",
     "per_step_before_hazard",
     "per_step_after_hazard",
-    "followed_of_initiated",
-    "followed_of_comprehended",
     "long_rate",
     "preempted_rate",
     "overwritten_rate",

@@ -351,7 +351,7 @@ mod tests {
             .iter()
             .flat_map(|rate| [rate.1, rate.2])
             .chain(HAZARDS)
-            .chain(["success"])
+            .chain(["success", "followed_of_initiated", "followed_of_comprehended"])
             .map(str::to_owned)
             .collect();
         metrics.sort();
