@@ -156,14 +156,15 @@ mod tests {
         drop(held);
         assert_eq!(fs::read_to_string(&lock).unwrap(), "whose it is");
         fs::write(&other, "precious").unwrap();
+        let refused = |path| io::Error::from(lock_file(path).unwrap_err()).to_string();
         for target in [&other, &missing] {
             fs::remove_file(&lock).unwrap();
             std::os::unix::fs::symlink(target, &lock).unwrap();
-            assert!(lock_file(&lock).unwrap_err().to_string().contains("lock is a link"));
+            assert!(refused(&lock).contains("lock is a link"));
         }
         assert!(!missing.exists());
         fs::remove_file(&lock).unwrap();
         fs::create_dir(&lock).unwrap();
-        assert!(lock_file(&lock).unwrap_err().to_string().contains("lock is not a file"));
+        assert!(refused(&lock).contains("lock is not a file"));
     }
 }
