@@ -283,8 +283,7 @@ impl Trainer {
         let unit_len = if self.is_recurrent() { self.settings.n_steps } else { 1 };
         let n_minibatches = self.settings.n_minibatches.min(batch.n_samples() / unit_len);
         let (n_samples, update) = (batch.n_samples(), self.version.0);
-        let mut order =
-            Minibatches::new(n_samples, unit_len, n_minibatches, self.run_seed, update);
+        let mut order = Minibatches::new(n_samples, unit_len, n_minibatches, self.run_seed, update);
         let mut indices = Vec::new();
         let mut totals = Totals::default();
         for _ in 0..self.settings.n_epochs {
