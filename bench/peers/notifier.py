@@ -31,6 +31,7 @@ from pathlib import Path
 TASK, N_ENVS, N_STEPS, N_MINIBATCHES, N_EPOCHS = "leadtime/Lander-v0", 64, 64, 16, 4
 GAMMA, LAMBDA, CLIP, ENTROPY, VALUE, MAX_NORM, LR = 0.999, 0.95, 0.2, 0.004, 0.5, 0.5, 1.5e-3
 REWARD_SCALE, INITIATE_BIAS, WANTED, LAST = 0.01, -1.0, 0.9, 100
+ENDING = 30.0  # Seconds that Leadtime may take to end after it was asked to.
 
 
 class Progress:
@@ -58,28 +59,35 @@ def result(steps, seconds, last_success, reached):
 
 
 def leadtime(args, seed):
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         command = [args.program, "up", "-c", "lander", "--actors", "1", "--seed", str(seed), "--runs", folder,
                    "--name", "r", "--set", f"learner.total_steps={args.steps}", "--set", "evaluation.during_training=0"]
         started = time.time()
         said = open(folder + "/said", "w+")
         child = subprocess.Popen(command, stdout=said, stderr=said)
-        journal, reached, last, seconds, n_read = Path(folder) / "r/metrics.jsonl", None, None, None, 0
-        while True:
-            is_over = child.poll() is not None
-            # Whole lines only, and from its name every time: the file is replaced when the run begins.
-            text = journal.read_text() if journal.exists() else ""
-            lines = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()[n_read:]]
-            for line in lines:
-                n_read, last, seconds = n_read + 1, line, time.time() - started
-                enough = line["episodes/finished"] >= LAST and line.get("episodes/success", 0) >= WANTED
-                if reached is None and enough:
-                    reached = (line["steps"], seconds)
-            if reached and args.stop and not is_over:
-                child.terminate()
-            if is_over:
-                break
-            time.sleep(0.05)
+        journal, reached, last, seconds, n_read, is_over = Path(folder) / "r/metrics.jsonl", None, None, None, 0, False
+        try:
+            while not is_over:
+                is_over = child.poll() is not None
+                # Whole lines only, and from its name every time: the file is replaced when the run begins.
+                text = journal.read_text() if journal.exists() else ""
+                lines = [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()[n_read:]]
+                for line in lines:
+                    n_read, last, seconds = n_read + 1, line, time.time() - started
+                    enough = line["episodes/finished"] >= LAST and line.get("episodes/success", 0) >= WANTED
+                    if reached is None and enough:
+                        reached = (line["steps"], seconds)
+                if reached and args.stop and not is_over:
+                    # Once: a second signal would end it before its children, which write into the folder.
+                    child.terminate()
+                    break
+                time.sleep(0.05)
+        finally:
+            try:
+                child.wait(ENDING)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
         if last is None:
             said.seek(0)
             sys.exit(f"{' '.join(command)} ended with {child.returncode}:\n{said.read()}")
