@@ -245,21 +245,42 @@ def decoder(space, spaces, np):
     return lambda choices: tuple(decode(choices[of]) for of, decode in parts)
 
 
-def masks_of(offered, space, spaces, np):
-    """Yields what is offered of each part of an action: of one array over all, an array per head, or what `sample` takes."""
+def mask_of(offered, space, spaces, np, what="`action_mask`"):
+    """Returns which choices are offered, of one array over all, an array per head, or what `sample` takes.
+
+    The sizes of parts are looked at, and not of the whole alone: two that are exchanged would be read as something else.
+    """
+    heads = [n for _, n in count(space, spaces)]
     if offered is None:
-        yield np.ones(sum(n for _, n in count(space, spaces)))
-    elif isinstance(offered, Mapping):
+        return np.ones(sum(heads), bool)
+    if isinstance(offered, Mapping):
         if not isinstance(space, spaces.Dict):
-            raise Refused(f"`action_mask` is a dict, and the action space is {space}")
-        for key, part in space.spaces.items():
+            raise Refused(f"{what} is a dict, and the space is {space}")
+        for key in space.spaces:
             if key not in offered:
-                raise Refused(f"`action_mask` has no `{key}`, and the action space has")
-            yield from masks_of(offered[key], part, spaces, np)
-    elif isinstance(offered, (tuple, list)):
-        parts = space.spaces if isinstance(space, spaces.Tuple) and len(space.spaces) == len(offered) else [space] * len(offered)
-        for of_part, part in zip(offered, parts):
-            yield from masks_of(of_part, part, spaces, np)
+                raise Refused(f"{what} has no `{key}`, and the action space has")
+        parts = [(offered[key], part, f"`{key}` of {what}") for key, part in space.spaces.items()]
+    elif isinstance(offered, (tuple, list)) and isinstance(space, spaces.Tuple) and len(offered) == len(space.spaces):
+        parts = [(of_part, part, f"part {i} of {what}") for i, (of_part, part) in enumerate(zip(offered, space.spaces))]
+    else:
+        arrays = list(arrays_of(offered, np))
+        flat, sizes = np.concatenate([[], *arrays]), [array.size for array in arrays]
+        if isinstance(space, spaces.MultiBinary) and flat.size == len(heads):
+            # 0 and 1 offer nothing else, 2 offers either.
+            return np.stack([flat != 1, flat != 0], axis=-1).ravel()
+        if flat.size != sum(heads):
+            raise Refused(f"{what} has {flat.size} entries for {sum(heads)} choices")
+        if len(sizes) == len(heads) and sizes != heads:
+            raise Refused(f"{what} has arrays of {sizes} entries for heads of {heads} choices")
+        return flat.astype(bool)
+    return np.concatenate([mask_of(of_part, part, spaces, np, name) for of_part, part, name in parts])
+
+
+def arrays_of(offered, np):
+    """Yields the arrays of what is nested in whatever way; a list of numbers is one."""
+    if isinstance(offered, (tuple, list)) and any(hasattr(part, "__len__") for part in offered):
+        for part in offered:
+            yield from arrays_of(part, np)
     else:
         yield np.ravel(offered)
 
@@ -396,15 +417,15 @@ def maker(target, config):
     return lambda index: called(make, *(config, index)[:takes])
 
 
-def called(make, *given, **named):
-    """Makes an environment; where the arguments do not fit, it says which they were."""
+def called(make, /, *given, **named):
+    """Makes an environment; where the arguments do not fit, it says which they were. A key of `env` may be `make`."""
     try:
         return make(*given, **named)
     except TypeError as error:
         # Of the call itself, and not of anything inside.
         if error.__traceback__.tb_next is not None:
             raise
-        what = "`config` and `index`" if given else f"the keys of `env` as arguments, which has {sorted(named)}"
+        what = " and ".join(("`config`", "`index`")[: len(given)]) or f"the keys of `env` as arguments, which has {sorted(named)}"
         raise Refused(f"{error}: it gets {what}") from None
 
 
@@ -415,7 +436,9 @@ def from_registry(name, arguments):
         try:
             return gymnasium.make(name, disable_env_checker=True, **arguments)
         except gymnasium.error.Error as error:
-            hint = "" if re.search(r"-v\d+$", name) else f" A function is named with its module, `{name}:make`; an id ends with its version."
+            # Of an id that nobody knows, and not of one that needs another package.
+            is_unknown = isinstance(error, gymnasium.error.UnregisteredEnv) and not re.search(r":|-v\d+$", name)
+            hint = f" A function is named with its module, `{name}:make`; an id ends with its version." if is_unknown else ""
             raise Refused(f"{type(error).__name__}: {' '.join(str(error).split())}{hint}") from None
 
     return make
@@ -547,10 +570,10 @@ class Worker:
         if offered is None:
             return EVERYTHING
         np = self.np
-        parts = [offered] if isinstance(offered, np.ndarray) else list(masks_of(offered, self.action_space, self.gymnasium.spaces, np))
-        flat = np.concatenate([np.ravel(part) for part in parts]).astype(bool)
-        if flat.shape != (self.n_choices,):
-            raise Refused(f"`action_mask` has {flat.size} entries for {self.n_choices} choices")
+        if isinstance(offered, np.ndarray) and offered.size == self.n_choices:
+            flat = offered.ravel().astype(bool)
+        else:
+            flat = mask_of(offered, self.action_space, self.gymnasium.spaces, np)
         is_offered = np.logical_or.reduceat(flat, self.first_choices)
         if not is_offered.all():
             name = self.heads[int(is_offered.argmin())][0]

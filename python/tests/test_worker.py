@@ -178,6 +178,9 @@ def test_what_cannot_be_is_said_in_a_sentence():
     assert told.endswith("VectorEnv, which is no gymnasium.Env; it has to make one environment, and is called for each"), told
     told = refused(worker.maker("my_envs", {}))
     assert "doesn't exist. A function is named with its module, `my_envs:make`" in told, told
+    # It is known, and its package is missing.
+    gymnasium.register("Unbuilt-v3", lambda: (_ for _ in ()).throw(gymnasium.error.DependencyNotInstalled("no engine is installed")))
+    assert refused(worker.maker("Unbuilt", {})) == "DependencyNotInstalled: no engine is installed"
     assert "the observation space is" in refused(lambda index: Toy(observation_space=spaces.Sequence(spaces.Discrete(2))))
     assert "shape (3,), not (2,)" in refused(lambda index: Toy(fault="shape"))
     assert "an observation has dtype <U1, which is no number" in refused(lambda index: Toy(fault="dtype"))
@@ -224,7 +227,9 @@ def test_what_is_offered_is_said_in_info_or_in_the_observation_in_the_form_of_th
 
     two, three = [1, 0], np.array([0, 1, 1])
     for space, mask, bits in [(multi, [1, 0, 0, 1, 1], 0b11001), (multi, (two, three), 0b11001), (both, {"b": three[1:], "a": (two, three)}, 0b1100111),
-                              (both, {"b": None, "a": (two, three)}, 0b1100111), (nested, (two, {"a": (two, three)}), 0b1100101)]:
+                              (both, {"b": None, "a": (two, three)}, 0b1100111), (nested, (two, {"a": (two, three)}), 0b1100101),
+                              (spaces.Dict(a=spaces.MultiBinary(3)), {"a": np.array([0, 1, 2], np.int8)}, 0b111001),
+                              (spaces.Dict(a=spaces.MultiBinary(2)), {"a": np.array([0, 1, 1, 1])}, 0b1110)]:
         pair = Pair(made(space, info={"action_mask": mask}), {"metrics": [], "batch": 4})
         for shown, failures in (pair.begin(), pair.step([0] * len(pair.worker.heads))):
             assert shown[3] == bits and not failures, (space, mask, bin(shown[3]), failures)
@@ -238,7 +243,13 @@ def test_what_is_offered_is_said_in_info_or_in_the_observation_in_the_form_of_th
     assert pair.begin()[0][3] == pair.step([0])[0][3] == 0b001
     for space, fault, told in [(spaces.Discrete(2), {"seen": seen}, "`action_mask` has 3 entries for 2 choices"),
                                (both, {"info": {"action_mask": {"b": two}}}, "`action_mask` has no `a`, and the action space has"),
-                               (multi, {"info": {"action_mask": {"b": two}}}, "`action_mask` is a dict, and the action space is MultiDiscrete([2 3])"),
+                               (multi, {"info": {"action_mask": {"b": two}}}, "`action_mask` is a dict, and the space is MultiDiscrete([2 3])"),
+                               # Each is as long as the whole should be.
+                               (both, {"info": {"action_mask": {"a": (two, two), "b": three}}}, "`b` of `action_mask` has 3 entries for 2 choices"),
+                               (nested, {"info": {"action_mask": (two, {"a": (three, two)})}},
+                                "`a` of part 1 of `action_mask` has arrays of [3, 2] entries for heads of [2, 3] choices"),
+                               (multi, {"info": {"action_mask": ([1, 0, 1], two)}}, "`action_mask` has arrays of [3, 2] entries for heads of [2, 3] choices"),
+                               (multi, {"info": {"action_mask": []}}, "`action_mask` has 0 entries for 5 choices"),
                                (spaces.Discrete(3), {"seen": {"action_mask": np.zeros(3)}}, "`action_mask` offers no choice of `action`")]:
         assert refused(made(space, **fault)).startswith(told), (space, fault)
 
@@ -253,10 +264,16 @@ def test_arguments_that_do_not_fit_are_told_as_what_is_called():
     def three(config, index, further):
         return Toy()
 
+    def one(config, *, further):
+        return Toy()
+
     def inside(config):
         return Crossing()
 
-    for name, make in [("Crossing", Crossing), ("three", three), ("inside", inside)]:
+    def keys(**config):
+        return Toy(length=len(config))
+
+    for name, make in [("Crossing", Crossing), ("three", three), ("one", one), ("inside", inside), ("keys", keys)]:
         setattr(module, name, make)
     sys.modules["called_here"] = module
 
@@ -274,6 +291,8 @@ def test_arguments_that_do_not_fit_are_told_as_what_is_called():
         assert "unexpected keyword argument 'bsuy'" in told("called_here:Crossing", {"bsuy": 1})
         further = told("called_here:three", {})
         assert re.search(r"three\(\) missing 1 required positional argument: 'further': it gets `config` and `index`$", further), further
+        assert told("called_here:one", {}).endswith("'further': it gets `config`")
+        assert worker.maker("called_here:keys", {"make": 1, "name": 2})(0).length == 2
         own = told("called_here:inside", {})
         assert re.search(r"^TypeError: .*Crossing.__init__\(\) missing .* 'busy' \(test_worker.py:\d+\)$", own), own
         # No line of the worker's own, which is not at fault.
