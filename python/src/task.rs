@@ -6,7 +6,7 @@ use std::path::Path;
 
 use leadtime_config::{Catalog, Config, ConfigSource, Layer, Override};
 use leadtime_proto::TaskSpec;
-use leadtime_proto::phrase::no_such;
+use leadtime_proto::phrase::{no_such, with_causes};
 use leadtime_sims::{Environment, Registry, TwoPlayers};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -95,11 +95,5 @@ fn built_in(name: &str, error: &io::Error, catalog: &Catalog) -> PyResult<Layer>
 
 /// Makes Python's error of one of ours, with its causes.
 pub(crate) fn wrong(error: impl std::error::Error) -> PyErr {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text = format!("{text}: {error}");
-        cause = error.source();
-    }
-    PyValueError::new_err(text)
+    PyValueError::new_err(with_causes(&error))
 }

@@ -154,6 +154,8 @@ def main():
                 # What all environments of the process count together.
                 n_shared += 1
                 observation = [float(n_shared), *observation[1:]]
+            if bad == "numbered":
+                observation = [float(slot), *observation[1:]]
             if bad == "random" and kind == STEP:
                 observation = [noise.random()] * 4
                 env.state = observation

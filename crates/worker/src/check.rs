@@ -50,8 +50,8 @@ pub fn check_worker(workers: &Workers, settings: &PythonSettings) -> Result<Work
     let found = difference(&shown[0], &shown[1]).map(|(step, what)| {
         format!(
             "two processes differ in {what} after step {step}: the environment does not depend on its seed and its \
-             actions alone; it may use a clock, a generator of its own, or something that all environments of a process \
-             share, such as an attribute of their class"
+             actions alone; it may use its `index`, a clock, a generator of its own, or something that all environments of \
+             a process share, such as an attribute of their class"
         )
     });
     report.defects.extend(found);
@@ -79,5 +79,7 @@ mod tests {
         let told = "two processes differ in observation[0]";
         assert!(shared.len() == 1 && shared[0].starts_with(told), "{shared:?}");
         assert_eq!(defects("shares", 1), Vec::<String>::new(), "nobody is beside it");
+        let numbered = defects("numbered", 2);
+        assert!(numbered.len() == 1 && numbered[0].contains("its `index`"), "{numbered:?}");
     }
 }
