@@ -98,7 +98,10 @@ fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
     assert!(clean.stderr.contains("a worker prints this"), "{}", clean.stderr);
     for (mode, told) in [
         ("exits", "out of fuel"),
-        ("hangs", "it said nothing for 1s; where a step takes longer, raise world.step_timeout"),
+        (
+            "hangs",
+            "it said nothing for 1s; where a step or a reset takes longer, raise world.step_timeout",
+        ),
         ("garbage", "started again"),
         ("huge-frame", "a frame of 2147483648 bytes"),
         ("raises", "its step is taken again"),

@@ -83,7 +83,7 @@ pub enum ProtocolError {
     Closed,
     /// Nothing came for too long.
     #[error(
-        "it said nothing for {}; where a step takes longer, raise world.step_timeout",
+        "it said nothing for {}; where a step or a reset takes longer, raise world.step_timeout",
         leadtime_proto::phrase::duration(*timeout)
     )]
     Silent { timeout: Duration },
