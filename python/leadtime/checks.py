@@ -2,6 +2,7 @@
 
 import math
 import operator
+from collections.abc import Iterable, Mapping
 
 
 def whole(value, what, below=math.inf):
@@ -20,7 +21,8 @@ def named(facts):
     if facts is None:
         return None
     # Of a dict only the keys would be read, whatever it says of them.
-    names = None if isinstance(facts, (str, bytes, dict)) else list(facts)
+    is_many = isinstance(facts, Iterable) and not isinstance(facts, (str, bytes, Mapping))
+    names = list(facts) if is_many else None
     if names is None or not all(isinstance(name, str) for name in names):
         raise ValueError(f"facts are a list of names, not {facts!r}")
     return names

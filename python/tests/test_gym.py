@@ -8,7 +8,7 @@ import tempfile
 import unittest
 import warnings
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -478,7 +478,7 @@ class Policy(unittest.TestCase):
             notifier.step(np.zeros(7))
         with self.assertRaisesRegex(ValueError, "not finite"):
             notifier.step(np.full(8, np.nan))
-        for odd in ("zone_ahead", {"zone_ahead": False}, [3]):
+        for odd in ("zone_ahead", {"zone_ahead": False}, MappingProxyType({"zone_ahead": False}), [3], True):
             with self.assertRaisesRegex(ValueError, "facts are a list of names"):
                 notifier.step(np.zeros(8), facts=odd)
         with self.assertRaisesRegex(ValueError, "episode 1.5; allowed: a whole number from 0 on"):
