@@ -169,6 +169,8 @@ class Live(unittest.TestCase):
             # It still answers here, and an answer would come first.
             notifier._heard.undeclare()
             notifier._on_presence(token(gone, "another"))
+            # The real one would answer.
+            notifier._sights = SimpleNamespace(put=lambda message: None)
             with self.assertRaisesRegex(Lost, "the notifier is gone"):
                 notifier.step(FALLING[1], timeout=5.0)
             # Only the way to it was gone.
