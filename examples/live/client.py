@@ -70,7 +70,7 @@ with session:
         # The network's word for one that is there and stands still.
         sys.exit("the notifier does not answer" if said == "Timeout" else f"refused: {said}")
     answer = json.loads(reply.ok.payload.to_string())
-    opener = answer["start"]
+    opener = answer.get("start")
     print(f"session {answer['session']}: {answer['obs_dim']} numbers, topics {', '.join(answer['topics'])}")
     sights = session.declare_publisher(
         f"{KEY}/obs", encoding="application/json", priority=zenoh.Priority.REAL_TIME, express=True)

@@ -130,7 +130,8 @@ class Notifier:
     @property
     def is_here(self):
         """Whether the notifier is there that opened the session; one that was started again is another one."""
-        return self.answer["start"] not in self._gone
+        # An older notifier does not say which start it is.
+        return self.answer.get("start") not in self._gone
 
     def observe(self, observation, *, facts=None, episode=0, end=False):
         """Sends an observation, and returns its number.

@@ -176,6 +176,9 @@ class Live(unittest.TestCase):
             # Only the way to it was gone.
             notifier._on_presence(token(put, own))
             self.assertTrue(notifier.is_here)
+            # One from before the answer had it.
+            del notifier.answer["start"]
+            self.assertTrue(notifier.is_here)
 
     def test_a_closed_session_says_why_and_not_what_was_wrong_before(self):
         with Notifier(self.endpoint, "l", "lander") as notifier:

@@ -9,12 +9,12 @@ use crate::protocol::StepRow;
 use crate::slot::StepProgress;
 
 /// Seed of the trials.
-pub(crate) const SEED: u64 = 20_260_517;
+const SEED: u64 = 20_260_517;
 
 /// An environment that is tried: its place in the worker, and what draws its actions.
 #[derive(Clone)]
 pub(crate) struct TriedSlot {
-    pub(crate) place: usize,
+    place: usize,
     draws: Pcg64,
 }
 
