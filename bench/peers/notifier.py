@@ -1,9 +1,10 @@
 """The piloting notifier, trained to .9 success by Leadtime and by its peers: environment steps, seconds, steps per second.
 
-    python3 bench/peers/notifier.py [leadtime cleanrl sb3 sample-factory] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
+    python3 bench/peers/notifier.py [leadtime cleanrl cleanrl-sync sb3 sample-factory] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
 
 The task, the network and the settings are those of `leadtime config lander`. `leadtime` is `leadtime up` with one actor;
-`cleanrl` a single file in the manner of CleanRL's `ppo.py`, on the native vector of 64 environments; `sb3` MaskablePPO of
+`cleanrl` a single file in the manner of CleanRL's `ppo.py`, on the native vector of 64 environments, and `cleanrl-sync` on Gymnasium's
+`SyncVectorEnv` of 64 single ones, as CleanRL has it; `sb3` MaskablePPO of
 sb3-contrib on 64 single ones; `sample-factory` its asynchronous PPO on two workers with 32 each, without masks and with a learning rate that
 does not fall, because it knows neither. For all alike, .9 success means: of the last 100 training episodes 90 were successes, at the end of
 an update. The peers are looked at before they learn from its rollouts, Leadtime's journal has it after that. No system evaluates while
@@ -12,10 +13,11 @@ it trains. A peer's seconds count from the start of the training, without import
 Every training is a process of its own, one after the other, and writes FOLDER/SYSTEM-SEED.json (default target/notifier). What has its
 file is not trained again, so the script may be ended and started again. It ends with a table of what is in FOLDER. torch has one
 thread, which is faster for networks as small as these (beside other load twenty times); --threads says otherwise. --stop ends a training
-once it has .9. On two idle cores three seeds take two minutes of Leadtime, six of CleanRL, eight of Stable-Baselines3, more of Sample Factory.
+once it has .9; one that never gets there counts with all its steps and seconds, and the mean is marked ≥. On two idle cores three seeds take two minutes of Leadtime, six of CleanRL, eight of Stable-Baselines3, more of Sample Factory.
 
 Needs: the package `leadtime` (python/build.sh), the program, and for the peers: pip install torch stable-baselines3 sb3-contrib. Sample Factory
-holds Gymnasium below 1.0 and needs an environment of its own, with the package, too; its results may go into the same FOLDER.
+holds Gymnasium below 1.0 and needs an environment of its own, with the package, too (`pip install --no-deps`); its results may go into
+the same FOLDER.
 """
 import argparse
 import json
@@ -94,7 +96,11 @@ def leadtime(args, seed):
         return result(last["steps"], seconds, last["episodes/success"], reached)
 
 
-def cleanrl(args, seed):
+def cleanrl_sync(args, seed):
+    return cleanrl(args, seed, vectorization_mode="sync")
+
+
+def cleanrl(args, seed, vectorization_mode="vector_entry_point"):
     import gymnasium as gym
     import numpy as np
     import torch
@@ -103,7 +109,9 @@ def cleanrl(args, seed):
 
     import leadtime.gym  # noqa: F401
 
-    envs = gym.make_vec(TASK, num_envs=N_ENVS, vectorization_mode="vector_entry_point")
+    # The native vector resets in the same step, too.
+    how = {"vector_kwargs": {"autoreset_mode": gym.vector.AutoresetMode.SAME_STEP}} if vectorization_mode == "sync" else {}
+    envs = gym.make_vec(TASK, num_envs=N_ENVS, vectorization_mode=vectorization_mode, **how)
     sizes = envs.single_action_space.nvec.tolist()
     n_in = envs.single_observation_space.shape[0]
     torch.manual_seed(seed)
@@ -299,6 +307,7 @@ def sample_factory(args, seed):
 
 
 SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "cleanrl": (cleanrl, "CleanRL-style PPO, native vector"),
+           "cleanrl-sync": (cleanrl_sync, "CleanRL-style PPO, `SyncVectorEnv` as in CleanRL"),
            "sb3": (sb3, "Stable-Baselines3 MaskablePPO"), "sample-factory": (sample_factory, "Sample Factory, 2 workers x 32")}
 
 
@@ -324,30 +333,34 @@ def train(args, system, seed):
     print(json.dumps(about), flush=True)
 
 
-def over_seeds(runs, name, unit=1):
-    """Writes the mean over seeds, with the least and the greatest; nothing is said of a system that did not always get there."""
-    values = [run[name] for run in runs]
-    n_there = sum(value is not None for value in values)
-    if n_there < len(values):
-        return f"{n_there} of {len(values)} reached it"
+def needed(run, what):
+    """Steps or seconds to .9; a training that did not get there counts with all that it had, which is less than it needs."""
+    return run[what] if run[f"{what}_to_.9"] is None else run[f"{what}_to_.9"]
+
+
+def over_seeds(values, is_bound=False, unit=1):
+    """Writes median and mean over seeds, with the least and the greatest."""
     values = [value / unit for value in values]
-    mean, least, most = (f"{value:,.0f}" if value >= 10 else f"{value:.1f}" for value in (statistics.mean(values), min(values), max(values)))
-    return f"{mean} ({least}–{most})" if len(values) > 1 else mean
+    median, mean, least, most = (f"{value:,.0f}" if value >= 10 else f"{value:.1f}"
+                                 for value in (statistics.median(values), statistics.mean(values), min(values), max(values)))
+    return f"{median}, {'≥ ' * is_bound}{mean} ({least}–{most})" if len(values) > 1 else mean
 
 
 def table(folder):
     runs = [json.loads(file.read_text()) for file in sorted(Path(folder).glob("*.json"))]
     of = {system: [run for run in runs if run["system"] == system] for system in SYSTEMS}
-    ours = [run["seconds_to_.9"] for run in of["leadtime"]]
-    print("\n| mean over seeds (least–greatest) | seeds | steps/s | thousand steps to .9 | seconds to .9 | seconds, times ours | success at the end |")
+    ours = [needed(run, "seconds") for run in of["leadtime"]]
+    print("\n| median, mean over seeds (least–greatest) | got there | steps/s | thousand steps to .9 | seconds to .9 | seconds, times ours | success at the end |")
     print("|---|---|---|---|---|---|---|")
     for system, found in of.items():
         if not found:
             continue
-        theirs = [run["seconds_to_.9"] for run in found]
-        times = f"{statistics.mean(theirs) / statistics.mean(ours):.1f}" if ours and None not in theirs + ours else "–"
-        cells = [SYSTEMS[system][1], str(len(found)), over_seeds(found, "steps_per_second"), over_seeds(found, "steps_to_.9", 1000),
-                 over_seeds(found, "seconds_to_.9"), times, f"{statistics.mean(run['last_success'] for run in found):.2f}"]
+        steps, seconds = ([needed(run, what) for run in found] for what in ("steps", "seconds"))
+        n_there = sum(run["seconds_to_.9"] is not None for run in found)
+        is_bound = n_there < len(found)
+        times = f"{statistics.median(seconds) / statistics.median(ours):.1f}, {'≥ ' * is_bound}{statistics.mean(seconds) / statistics.mean(ours):.1f}" if ours else "–"
+        cells = [SYSTEMS[system][1], f"{n_there} of {len(found)}", over_seeds([run["steps_per_second"] for run in found]),
+                 over_seeds(steps, is_bound, 1000), over_seeds(seconds, is_bound), times, f"{statistics.mean(run['last_success'] for run in found):.2f}"]
         print("| " + " | ".join(cells) + " |")
 
 
