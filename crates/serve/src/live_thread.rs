@@ -131,6 +131,13 @@ impl LiveThread {
         Ok(Self { orders, handle })
     }
 
+    /// Makes a thread that follows no orders, and returns those that it is given.
+    #[cfg(test)]
+    pub(crate) fn ended() -> (Self, Receiver<ThreadOrder>) {
+        let (orders, receiver) = sync_channel(MAX_WAITING);
+        (Self { orders, handle: thread::Builder::new().spawn(|| ()).unwrap() }, receiver)
+    }
+
     /// Gives an order, without waiting; `false` if the thread has ended, or has too many already.
     pub(crate) fn order(&self, order: ThreadOrder) -> bool {
         let given = self.orders.try_send(order).is_ok();

@@ -334,7 +334,9 @@ impl LiveService {
     }
 
     fn tell_thread(&self, client: ClientName, start: Incarnation, is_here: bool) {
-        if let Some(registered) = self.open.get(&client) {
+        // Another start is none of the session's, and anybody may show thousands of them.
+        let own = self.open.get(&client).filter(|it| it.incarnation == Some(start));
+        if let Some(registered) = own {
             self.threads[registered.thread].order(ThreadOrder::Presence(client, start, is_here));
         }
     }
@@ -383,14 +385,10 @@ impl LiveService {
                 return Err(OpenRefusal::Taken(client.to_string()));
             }
             let thread = registered.thread;
-            self.threads[thread].order(ThreadOrder::Remove(client.clone(), None));
-            self.open.remove(client);
+            self.remove(client, thread, None)?;
         }
-        if self.open.len() >= self.settings.max_sessions && !self.make_room() {
-            // With a loudspeaker the command line has no other limit.
-            let has_loudspeaker = self.settings.loudspeaker.is_some();
-            let full = OpenRefusal::Full(self.settings.max_sessions);
-            return Err(if has_loudspeaker { OpenRefusal::OneLoudspeaker } else { full });
+        if self.open.len() >= self.settings.max_sessions {
+            self.make_room()?;
         }
         self.host(client, question, &plan, None)
     }
@@ -434,9 +432,6 @@ impl LiveService {
         let (keys, writer) = robot.unzip();
         let port = self.link.port(client, is_raw, keys.as_ref(), self.threads[thread].waker())?;
         let (client, id) = (client.clone(), session.id().to_owned());
-        if let Some(more) = self.lines.opened.suffix(Instant::now()) {
-            info!(%client, session = id, "a session is open{more}");
-        }
         let is_standing = writer.is_some();
         let name = client.clone();
         let last_seq = Arc::new(AtomicU64::new(session.last_seq()));
@@ -452,6 +447,9 @@ impl LiveService {
         };
         if !self.threads[thread].order(ThreadOrder::Add(Box::new(hosted))) {
             return Err(OpenRefusal::Busy);
+        }
+        if let Some(more) = self.lines.opened.suffix(Instant::now()) {
+            info!(%client, session = id, "a session is open{more}");
         }
         let state = LiveState::Waiting;
         let registered = Registered {
@@ -481,19 +479,35 @@ impl LiveService {
         serde_json::to_vec(&SessionAnswer::new(id, self.own, plan, &self.policy, last_seq))
     }
 
-    /// Ends the session of a client that is not there any more; `false` if all are. One that says something is the last to go.
-    fn make_room(&mut self) -> bool {
+    /// Has a thread end a session. As long as the thread does not know of it, the session goes on.
+    fn remove(
+        &mut self,
+        client: &ClientName,
+        thread: usize,
+        why: Option<Silence>,
+    ) -> Result<Option<Registered>, OpenRefusal> {
+        if !self.threads[thread].order(ThreadOrder::Remove(client.clone(), why)) {
+            return Err(OpenRefusal::Busy);
+        }
+        Ok(self.open.remove(client))
+    }
+
+    /// Ends the session of a client that is not there any more, if there is one. One that says something is the last to go.
+    fn make_room(&mut self) -> Result<(), OpenRefusal> {
         let gone = self.open.iter().filter(|(client, it)| !self.is_there(client, it));
         let gone = gone.min_by_key(|(_, it)| !QUIET.contains(&it.state));
-        let Some(client) = gone.map(|(client, _)| client.clone()) else { return false };
-        if let Some(registered) = self.open.remove(&client) {
-            if let Some(more) = self.lines.displaced.suffix(Instant::now()) {
-                info!(%client, session = registered.id, "a session gives up its place to another client{more}");
-            }
-            let order = ThreadOrder::Remove(client, Some(Silence::NoPlace));
-            self.threads[registered.thread].order(order);
+        let Some((client, thread)) = gone.map(|(client, it)| (client.clone(), it.thread)) else {
+            // With a loudspeaker the command line has no other limit.
+            let has_loudspeaker = self.settings.loudspeaker.is_some();
+            let full = OpenRefusal::Full(self.settings.max_sessions);
+            return Err(if has_loudspeaker { OpenRefusal::OneLoudspeaker } else { full });
+        };
+        if let Some(registered) = self.remove(&client, thread, Some(Silence::NoPlace))?
+            && let Some(more) = self.lines.displaced.suffix(Instant::now())
+        {
+            info!(%client, session = registered.id, "a session gives up its place to another client{more}");
         }
-        true
+        Ok(())
     }
 
     /// Makes a session, or goes on with the one that was kept.
@@ -787,6 +801,37 @@ mod tests {
         assert_eq!(opened(&mut notifier, "car-1").unwrap(), id);
         notifier.note(over(Silence::Refused(16, "noise".to_owned())));
         assert_ne!(opened(&mut notifier, "car-1").unwrap(), id);
+        ended(notifier).await;
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_thread_without_room_for_orders_keeps_its_sessions_and_other_starts_take_no_room() {
+        let mut notifier = prepared(Arc::new(MemoryStore::default())).await;
+        let (thread, orders) = LiveThread::ended();
+        std::mem::replace(&mut notifier.threads, vec![thread])
+            .into_iter()
+            .for_each(LiveThread::stop);
+        let id = opened(&mut notifier, "car-1").unwrap();
+        let client = ClientName::new("car-1").unwrap();
+        let here = |start| LiveEvent::Here(client.clone(), Incarnation(start));
+        (4..1_000).for_each(|other| notifier.take(here(other)));
+        assert!(matches!(orders.try_recv(), Ok(ThreadOrder::Add(_))));
+        assert!(orders.try_recv().is_err());
+        // Its own start goes and comes, faster than the thread takes note of it.
+        (0..1_000).for_each(|_| notifier.take(here(3)));
+        let gone = LiveEvent::Gone(client.clone(), Incarnation(3));
+        notifier.take(gone);
+        let busy = OpenRefusal::Busy.to_string();
+        notifier.settings.max_sessions = 1;
+        assert_eq!(opened(&mut notifier, "car-2").unwrap_err(), busy);
+        notifier.open.get_mut(&client).unwrap().incarnation = Some(Incarnation(2));
+        assert_eq!(opened(&mut notifier, "car-1").unwrap_err(), busy);
+        assert_eq!(notifier.open[&client].id, id);
+        // Its thread has taken note of it all.
+        assert!(orders.try_iter().all(|order| matches!(order, ThreadOrder::Presence(..))));
+        opened(&mut notifier, "car-1").unwrap();
+        let orders: Vec<_> = orders.try_iter().collect();
+        assert!(matches!(&*orders, [ThreadOrder::Remove(_, None), ThreadOrder::Add(_)]));
         ended(notifier).await;
     }
 
