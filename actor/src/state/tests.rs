@@ -4,7 +4,7 @@ use bytes::Bytes;
 use leadtime_link::{ConnectSettings, StartKey};
 use leadtime_proto::header::Schema;
 use leadtime_proto::message::EnvAssignment;
-use leadtime_proto::{ActorId, Header, RunName, Schedule, fakes};
+use leadtime_proto::{ActorId, Head, Header, RunName, RunSpec, Schedule, fakes, limits};
 
 use super::*;
 
@@ -326,11 +326,22 @@ fn an_actor_that_is_refused_dismissed_or_cut_off_leaves() {
 
 #[test]
 fn a_run_that_cannot_be_is_not_joined() {
-    let settings = Bench::new(0..=0).actor.settings;
-    let mut impossible = welcome(LEARNER, 0..=0);
-    impossible.spec.policy.obs_dim = 9;
-    let refused = Actor::<(), u32, ()>::new(settings, impossible, Instant::now());
-    assert!(matches!(refused.unwrap_err(), Error::Spec(_)));
+    let impossible: [fn(&mut RunSpec); 3] = [
+        |spec| spec.policy.obs_dim = 9,
+        |spec| {
+            let head = |name: char| Head { name: name.to_string(), n_choices: 2 };
+            spec.env.actions.heads = ('a'..).take(limits::MAX_HEADS + 1).map(head).collect();
+            spec.policy.actions = spec.env.actions.clone();
+        },
+        |spec| spec.n_steps = 0,
+    ];
+    for make in impossible {
+        let mut welcome = welcome(LEARNER, 0..=0);
+        make(&mut welcome.spec);
+        let settings = Bench::new(0..=0).actor.settings;
+        let refused = Actor::<(), u32, ()>::new(settings, welcome, Instant::now());
+        assert!(matches!(refused.unwrap_err(), Error::Spec(_)));
+    }
 }
 
 #[test]
