@@ -54,7 +54,7 @@ class Notifier:
         self._said, self._status, self._n_statuses = queue.Queue(MAX_EVENTS), {}, 0
         # Starts of the notifier that are there, and that are gone, by their tokens: one that is started again may show its token before
         # the old one goes.
-        self._here, self._gone = frozenset(), frozenset()
+        self._here, self._gone, self.answer = frozenset(), frozenset(), {}
         self._patience, self._began = patience, time.monotonic()
         settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
         try:
@@ -95,9 +95,11 @@ class Notifier:
     def _on_presence(self, sample):
         start = {str(sample.key_expr).rsplit("/", 1)[1]}
         if sample.kind == zenoh.SampleKind.PUT:
-            self._here, self._gone = self._here | start, self._gone - start
+            self._here, gone = self._here | start, self._gone - start
         else:
-            self._here, self._gone = self._here - start, self._gone | start
+            self._here, gone = self._here - start, self._gone | start
+        # Once it is known which start has answered, no other one matters: anybody may show thousands.
+        self._gone = gone & {self.answer.get("start")} if self.answer else gone
 
     def _on_say(self, sample):
         event = json.loads(sample.payload.to_string())

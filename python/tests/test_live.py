@@ -161,6 +161,11 @@ class Live(unittest.TestCase):
                 notifier._on_presence(token(kind, "another"))
                 self.assertTrue(notifier.is_here)
                 self.assertEqual(notifier.status["session"], notifier.answer["session"])
+            # Anybody may show and take away as many as they like.
+            for i in range(100):
+                for kind in (put, gone):
+                    notifier._on_presence(token(kind, f"{i}"))
+            self.assertEqual(notifier._gone, frozenset())
             notifier._on_presence(token(gone, own))
             self.assertEqual((notifier.is_here, notifier.status), (False, {}))
             for send in (notifier.observe, notifier.step):
