@@ -226,9 +226,7 @@ impl Race {
                     file.display()
                 )));
             }
-            if let Some(detour) =
-                RunRecord::read(directory).ok().and_then(|record| record.detour(directory))
-            {
+            if let Ok(Some(detour)) = RunRecord::detour(directory) {
                 let run = directory.display();
                 return Err(RunDirError::Refused(format!("{run} {detour}; take another --name")));
             }

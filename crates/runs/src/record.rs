@@ -228,14 +228,20 @@ impl RunRecord {
 
     /// Says what the run in this directory was trained with that its configuration does not show: `is a fork of a`, `went on with
     /// other settings (learner.clip: 0.2 -> 0.1 after update 9)`; `None` if nothing.
-    pub fn detour(&self, directory: &Path) -> Option<String> {
-        if let Some(origin) = &self.origin {
-            return Some(format!("is a fork of {}", origin.run));
+    ///
+    /// # Errors
+    ///
+    /// As [`RunRecord::read`].
+    pub fn detour(directory: &Path) -> Result<Option<String>, RecordError> {
+        let record = Self::read(directory)?;
+        if let Some(origin) = &record.origin {
+            return Ok(Some(format!("is a fork of {}", origin.run)));
         }
-        if self.is_fork(directory) {
-            return Some("is a fork".to_owned());
+        if record.is_fork(directory) {
+            return Ok(Some("is a fork".to_owned()));
         }
-        self.changes.first().map(|change| format!("went on with other settings ({change})"))
+        let first = record.changes.first();
+        Ok(first.map(|change| format!("went on with other settings ({change})")))
     }
 
     /// Reads the record of a run directory.

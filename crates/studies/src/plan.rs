@@ -475,7 +475,7 @@ impl WantedRun<'_> {
         let is_wanted = |name: &String| {
             let run = runs.join(name);
             name.ends_with(suffix)
-                && RunRecord::read(&run).is_ok_and(|record| record.detour(&run).is_none())
+                && RunRecord::detour(&run).is_ok_and(|detour| detour.is_none())
                 && read_config(&run).is_ok_and(|config| self.is(&config))
         };
         names.filter(is_wanted).min_by_key(|name| (!is_finished(&runs.join(name)), name.clone()))
@@ -485,7 +485,7 @@ impl WantedRun<'_> {
     fn check_free(&self, run: &Path, config: &Table) -> Result<(), Error> {
         let shown = run.display();
         let helps = "move it away, or take other --runs";
-        if let Some(detour) = RunRecord::read(run).ok().and_then(|record| record.detour(run)) {
+        if let Ok(Some(detour)) = RunRecord::detour(run) {
             return Err(Error::Refused(format!(
                 "{shown} {detour}, which its name does not say; {helps}"
             )));
