@@ -295,6 +295,7 @@ impl LiveSession {
         let is_quiet = now.saturating_sub(quiet_since) > FORGOTTEN && self.robot.is_none();
         let may_end = matches!(self.state, LiveState::Waiting | LiveState::Lost | LiveState::Ended);
         if is_quiet && may_end {
+            self.forget();
             self.close(now, Silence::Forgotten, out);
         }
         (self.state == LiveState::Closed).then_some(&self.why)

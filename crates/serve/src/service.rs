@@ -113,12 +113,14 @@ struct SessionLines {
     opened: RareLine,
     displaced: RareLine,
     over: RareLine,
+    /// About messages that were refused: each session's first is told at once.
+    unusable: RareLine,
 }
 
 impl Default for SessionLines {
     fn default() -> Self {
         let line = || RareLine::of_many(SESSION_LINES);
-        Self { refused: line(), opened: line(), displaced: line(), over: line() }
+        Self { refused: line(), opened: line(), displaced: line(), over: line(), unusable: line() }
     }
 }
 
@@ -622,9 +624,11 @@ impl LiveService {
                 }
                 registered.state = state;
                 let (n_refused, reason) = refusals;
-                if let Some(n) = registered.refusals.look(now, n_refused) {
+                if let Some(n) = registered.refusals.look(now, n_refused)
+                    && let Some(more) = self.lines.unusable.suffix(Instant::now())
+                {
                     let n = counted(n, "message");
-                    warn!(%client, session = id, "{n} refused; of the last one: {reason}");
+                    warn!(%client, session = id, "{n} refused; of the last one: {reason}{more}");
                 }
                 let Some(keeper) = &self.keeper else { return };
                 let kept = KeptSession {
@@ -901,8 +905,8 @@ mod tests {
     #[test]
     fn a_flood_of_sessions_is_a_limited_number_of_lines() {
         let (mut lines, start) = (SessionLines::default(), Instant::now());
-        let SessionLines { refused, opened, displaced, over } = &mut lines;
-        for line in [refused, opened, displaced, over] {
+        let SessionLines { refused, opened, displaced, over, unusable } = &mut lines;
+        for line in [refused, opened, displaced, over, unusable] {
             let told = (0..1_000).filter(|_| line.suffix(start).is_some());
             assert_eq!(told.count(), MAX_SESSIONS);
             let later = line.suffix(start + std::time::Duration::from_mins(1));

@@ -397,6 +397,8 @@ fn a_session_to_which_nothing_comes_for_ten_minutes_says_that_it_is_closed() {
         assert_eq!(bench.last_status()["state"], "closed");
         let why = "no observation has been taken for ten minutes; open a new session";
         assert_eq!(bench.last_status()["why"], why);
+        // What may be kept of it after its end has no past to go on from either.
+        assert!(!bench.session.snapshot(bench.told.now).is_begun);
     }
 }
 
