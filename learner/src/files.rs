@@ -40,8 +40,13 @@ impl PartialFile {
     pub fn create(path: &Path) -> io::Result<Self> {
         let mut partial = path.as_os_str().to_owned();
         partial.push(format!(".{}{PARTIAL}", std::process::id()));
-        let file = File::create(&partial)?;
-        Ok(Self { path: path.to_owned(), partial: partial.into(), file, is_placed: false })
+        let partial = PathBuf::from(partial);
+        // What a killed process of the same id has left is in the way. A link or a pipe in its place is not written to.
+        if partial.symlink_metadata().is_ok() {
+            fs::remove_file(&partial)?;
+        }
+        let file = File::create_new(&partial)?;
+        Ok(Self { path: path.to_owned(), partial, file, is_placed: false })
     }
 
     /// Puts the file where it belongs.
@@ -143,6 +148,24 @@ mod tests {
         file.place().unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "new");
         assert_eq!(fs::read_dir(place.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_is_in_the_way_of_a_file_that_is_written_is_removed_and_not_followed() {
+        let place = tempfile::tempdir().unwrap();
+        let [path, other] = ["run.json", "other"].map(|name| place.path().join(name));
+        fs::write(&other, "precious").unwrap();
+        let partial = place.path().join(format!("run.json.{}{PARTIAL}", std::process::id()));
+        std::os::unix::fs::symlink(&other, &partial).unwrap();
+        write_atomically(&path, b"new").unwrap();
+        assert_eq!(fs::read_to_string(&other).unwrap(), "precious");
+        assert!(!path.is_symlink());
+        assert!(std::process::Command::new("mkfifo").arg(&partial).status().unwrap().success());
+        write_atomically(&path, b"newer").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "newer");
+        fs::write(&partial, "left of one that was killed, and longer").unwrap();
+        write_atomically(&path, b"newest").unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "newest");
     }
 
     #[test]
