@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::fs::File;
+use std::io;
 use std::os::unix::fs::FileTypeExt as _;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -125,7 +126,7 @@ impl Endpoint {
         let (_, _, settings) = self.parts();
         let files = settings.split(';').filter_map(|setting| setting.split_once('='));
         for (setting, path) in files.filter(|(setting, _)| setting.ends_with("_file")) {
-            File::open(path).map_err(|source| Error::TlsFile {
+            open_file(Path::new(path)).map_err(|source| Error::TlsFile {
                 setting: setting.to_owned(),
                 path: path.into(),
                 source,
@@ -162,6 +163,14 @@ impl Endpoint {
     }
 }
 
+/// Opens what the library reads as a file. A pipe would keep its reader waiting for ever.
+fn open_file(path: &Path) -> io::Result<File> {
+    if path.metadata()?.is_file() {
+        return File::open(path);
+    }
+    Err(io::Error::other("it is not a file"))
+}
+
 impl FromStr for Endpoint {
     type Err = Error;
 
@@ -179,6 +188,9 @@ impl fmt::Display for Endpoint {
 
 #[cfg(test)]
 mod tests {
+    use std::error::Error as _;
+    use std::process::Command;
+
     use super::*;
 
     #[test]
@@ -255,5 +267,15 @@ mod tests {
         let error = endpoint("tls/h:1#root_ca_certificate_file=/no/ca.pem;enable_mtls=true");
         let error = error.check_files().unwrap_err().to_string();
         assert_eq!(error, "`root_ca_certificate_file` of the address: cannot read /no/ca.pem");
+    }
+
+    #[test]
+    fn a_pipe_is_no_certificate_and_nobody_waits_for_it() {
+        let place = tempfile::tempdir().unwrap();
+        let pipe = place.path().join("ca.pem");
+        assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let error = endpoint(&format!("tls/h:1#root_ca_certificate_file={}", pipe.display()));
+        let error = error.check_files().unwrap_err();
+        assert_eq!(error.source().unwrap().to_string(), "it is not a file");
     }
 }
