@@ -31,7 +31,7 @@ use leadtime_proto::{
 use serde_json::{Value, json};
 use zenoh::config::Config;
 
-use crate::error::NetworkFault;
+use crate::error::{NetworkFault, without_place};
 use crate::keys::{Key, Keys, Member, ROOT};
 use crate::live::{LIVE_ROOT, LiveKey, LiveTopic};
 use crate::{Error, Result};
@@ -53,6 +53,9 @@ const EVERYTHING: &[&str] = &[
     "declare_liveliness_subscriber",
     "liveliness_query",
 ];
+
+/// The lists that a list consists of.
+const PARTS: [&str; 3] = ["rules", "subjects", "policies"];
 
 /// The messages that it takes to find out who is present.
 const LOOK: &[&str] = &["liveliness_query", "declare_liveliness_subscriber"];
@@ -102,6 +105,9 @@ impl AccessList {
             let problem = "`access_control` has to be enabled and to deny what it does not name";
             return Err(bad(problem.to_owned()));
         }
+        if let Some(part) = PARTS.into_iter().find(|part| !list[part].is_array()) {
+            return Err(bad(format!("`access_control` has no list of `{part}`")));
+        }
         Ok(Self(list))
     }
 
@@ -124,7 +130,7 @@ impl AccessList {
             local.allow("socket", &[], &[rule("both", EVERYTHING, everywhere())]);
             let mut local = local.finish();
             local["subjects"][0]["link_protocols"] = json!(["unixsock-stream"]);
-            for part in ["rules", "subjects", "policies"] {
+            for part in PARTS {
                 let more = local[part].as_array().cloned().unwrap_or_default();
                 if let Some(all) = list[part].as_array_mut() {
                     all.extend(more);
@@ -451,7 +457,7 @@ fn with_line(error: zenoh::Error) -> String {
     };
     // About text that is no JSON5 it draws the place; what it expected there is in the last line.
     let said = msg.lines().last().unwrap_or_default().trim_start_matches([' ', '=']);
-    format!("line {}: {said}", place.line)
+    format!("line {}: {}", place.line, without_place(said))
 }
 
 /// Returns what everybody of a role may do.
@@ -617,6 +623,11 @@ mod tests {
         let open = text.replace("\"deny\"", "\"allow\"");
         AccessList::parse(&open).unwrap_err();
         AccessList::parse("{}").unwrap_err();
+        let said = |text: &str| AccessList::parse(text).unwrap_err().to_string();
+        let key = said(&text.replacen("leadtime/", "leadtime//", 1));
+        assert!(key.contains("Invalid Key Expr") && !key.contains(".rs"), "{key}");
+        let lacking = said(r#"{access_control: {enabled: true, default_permission: "deny"}}"#);
+        assert!(lacking.contains("has no list of `rules`"), "{lacking}");
         assert_eq!(AccessList::of(&[]), None, "nothing to allow");
     }
 

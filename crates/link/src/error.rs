@@ -23,9 +23,8 @@ pub struct NetworkFault(pub(crate) zenoh::Error);
 
 impl fmt::Display for NetworkFault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // The library ends its errors with the place in its own sources, which helps nobody here.
         let text = self.0.to_string();
-        let told = text.split(" at /").next().unwrap_or(&text).trim_end_matches('.');
+        let told = without_place(&text);
         // A list of reasons loses its end with that.
         let is_cut = told.matches('[').count() > told.matches(']').count();
         let whole = if is_cut { told.replacen(": [", ": ", 1) } else { told.to_owned() };
@@ -34,6 +33,11 @@ impl fmt::Display for NetworkFault {
 }
 
 impl std::error::Error for NetworkFault {}
+
+/// Returns an error of the library without its end, the place in the library's own sources, which helps nobody here.
+pub(crate) fn without_place(text: &str) -> &str {
+    text.split(" at /").next().unwrap_or(text).trim_end_matches('.')
+}
 
 /// Why something could not be done over the network.
 #[derive(Debug, Error)]
