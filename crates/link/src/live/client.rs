@@ -206,12 +206,8 @@ pub(super) fn watch_service(
     service: &ServiceName,
     sender: flume::Sender<LiveMessage>,
 ) -> Result<Subscriber<()>> {
-    let service = service.clone();
-    watch_tokens(session, LiveKey::Services, move |key, kind| {
+    watch_tokens(session, LiveKey::Starts(service), move |key, kind| {
         let Some(alive) = parse_alive(key) else { return };
-        if alive.service != service || alive.client.is_some() {
-            return;
-        }
         let message = match kind {
             SampleKind::Put => LiveMessage::ServiceHere(alive.incarnation),
             SampleKind::Delete => LiveMessage::ServiceGone(alive.incarnation),
@@ -258,11 +254,12 @@ pub(super) async fn find(
 ) -> Result<Incarnation> {
     let (started, timeout) = (Instant::now(), settings.timeout);
     loop {
-        let present = present(&current()).await?;
-        if let Some((_, start)) = present.iter().find(|(name, _)| name == service) {
+        let session = current();
+        if let Some((_, start)) = present(&session, LiveKey::Starts(service)).await?.first() {
             return Ok(*start);
         }
         if started.elapsed() >= timeout {
+            let present = present(&session, LiveKey::Services).await?;
             return Err(Error::NoService {
                 service: service.clone(),
                 endpoints: session::describe(&settings.endpoints),
@@ -273,11 +270,13 @@ pub(super) async fn find(
     }
 }
 
-/// Lists the notifiers that are there now.
-pub(super) async fn present(session: &Session) -> Result<Vec<(ServiceName, Incarnation)>> {
-    let key = LiveKey::Services;
+/// Lists the notifiers that are there now: all, or those of one name, which any number of others does not hide.
+pub(super) async fn present(
+    session: &Session,
+    keys: LiveKey<'_>,
+) -> Result<Vec<(ServiceName, Incarnation)>> {
     let found =
-        discovery::tokens(session, key, "look for notifiers on", LOOK, MAX_SERVICES).await?;
+        discovery::tokens(session, keys, "look for notifiers on", LOOK, MAX_SERVICES).await?;
     let alive = found.iter().filter_map(|key| parse_alive(key));
     Ok(alive.map(|alive| (alive.service, alive.incarnation)).collect())
 }

@@ -31,6 +31,8 @@ pub enum LiveKey<'a> {
     Session(&'a ServiceName, &'a ClientName),
     /// Every notifier that is there.
     Services,
+    /// Every start of a notifier that is there.
+    Starts(&'a ServiceName),
     /// Every client of a notifier that is there.
     Clients(&'a ServiceName),
     /// Where any client asks for a session.
@@ -95,6 +97,7 @@ impl fmt::Display for LiveKey<'_> {
             }
             Self::Session(service, client) => write!(f, "/{service}/{client}/{SESSION}"),
             Self::Services => write!(f, "/*/{ALIVE}/*"),
+            Self::Starts(service) => write!(f, "/{service}/{ALIVE}/*"),
             Self::Clients(service) => write!(f, "/{service}/*/{ALIVE}/*"),
             Self::Opens(service) => write!(f, "/{service}/*/{OPEN}"),
             Self::Sessions(service) => write!(f, "/{service}/*/{SESSION}"),
@@ -192,7 +195,9 @@ mod tests {
                 assert!(expr(LiveKey::Any(&service, topic)).includes(&key));
             }
         }
-        assert!(expr(LiveKey::Services).includes(&expr(LiveKey::Service(&service, start))));
+        let starts = expr(LiveKey::Starts(&service));
+        assert!(starts.includes(&expr(LiveKey::Service(&service, start))));
+        assert!(expr(LiveKey::Services).includes(&starts));
         let own = expr(LiveKey::Client(&service, &client, start));
         assert!(expr(LiveKey::Clients(&service)).includes(&own));
         assert!(!expr(LiveKey::Services).includes(&own));

@@ -166,8 +166,9 @@ impl LiveServiceLink {
     async fn other_within(&self, own: Incarnation, patience: Duration) -> Result<OtherNotifier> {
         let started = Instant::now();
         loop {
-            let present = super::client::present(&self.session).await?;
-            if present.iter().all(|(service, start)| *service != self.service || *start == own) {
+            let keys = LiveKey::Starts(&self.service);
+            let present = super::client::present(&self.session, keys).await?;
+            if present.iter().all(|(_, start)| *start == own) {
                 return Ok(OtherNotifier::Absent);
             }
             if is_answered(&self.session, LiveKey::Life(&self.service), LIFE_TIMEOUT).await? {
@@ -278,6 +279,8 @@ fn on_recorder(mut query: Query, answers: &Answers, events: &EventQueue<LiveEven
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::live::LiveClientLink;
+    use crate::live::client::MAX_SERVICES;
     use crate::test_support::*;
 
     /// The start of the notifier of these tests.
@@ -312,6 +315,23 @@ mod tests {
         let answers = async { while within(SOON).await != OtherNotifier::AtWork {} };
         tokio::time::timeout(SOON, answers).await.expect("it shows presence, and answers");
         assert!(events.is_empty(), "a look is no question for a session");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_notifier_is_found_beside_any_number_of_others() {
+        let hub = Site::new();
+        let router = hub.raw("router").await;
+        let names = (0..MAX_SERVICES + 20).map(|n| ServiceName::new(format!("n{n}")).unwrap());
+        let names: Vec<ServiceName> = names.collect();
+        let mut tokens = Vec::new();
+        for name in &names {
+            let key = LiveKey::Service(name, Incarnation(1)).to_string();
+            tokens.push(router.liveliness().declare_token(key).await.unwrap());
+        }
+        let client = LiveClientLink::open(&hub.connect()).await.unwrap();
+        for name in &names {
+            assert_eq!(client.find(name).await.unwrap(), Incarnation(1));
+        }
     }
 
     /// Asks at a key, again where the notifier's place is not known yet, and returns what is picked of what it is told.
