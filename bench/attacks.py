@@ -3,6 +3,7 @@
 
     pip install eclipse-zenoh==1.10.2 crc32c blake3 pynacl
     bench/attacks.py [ATTACK...] [--seconds 5] [--router]
+    bench/attacks.py mutate --seconds 900 --updates 40000
 
 For each attack a learner and two actors train a small task on this machine. They are left in peace, attacked, and left in peace
 again. Prints updates a second of the three stretches, the learner's largest memory, what became of the actors (of a third one that
@@ -11,143 +12,30 @@ has started, and files in a temporary directory. PROGRAM names the program where
 """
 
 import argparse
-import functools
 import json
 import os
+import re
 import socket
-import struct
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from pathlib import Path
 
-import nacl.bindings as sodium
 import zenoh
-from blake3 import blake3
-from crc32c import crc32c
 
+from mutations import Mutations
 from processes import PROGRAM, end_all, free_port, need_program, spawn
+from stranger import ROLLOUT, STOP, Network, Start, assign, header, numbers
 
-# What messages hold, as in proto/src/header.rs.
-HELLO, CONTROL, ROLLOUT = 1, 3, 5
 RUN = "-c cartpole --seed 5 --set learner.n_envs=8 --set learner.n_steps=64 --set learner.n_minibatches=4 --set learner.mode=sync --set evaluation.during_training=0"
 STEPS_PER_UPDATE = 8 * 64
 # Questions of a connection whose answers are not read: the library starts a thread for each.
 UNREAD = 40
-
-
-def number(n):
-    """As the codec writes whole numbers."""
-    for size, tag, form in ((1 << 16, 251, "<H"), (1 << 32, 252, "<I"), (1 << 64, 253, "<Q")):
-        if n < 251:
-            return bytes([n])
-        if n < size:
-            return bytes([tag]) + struct.pack(form, n)
-    raise ValueError(n)
-
-
-def numbers(message):
-    """Reads a message that holds whole numbers only."""
-    found = []
-    while message:
-        size = {251: 2, 252: 4, 253: 8}.get(message[0], 0)
-        found.append(int.from_bytes(message[1 : 1 + size], "little") if size else message[0])
-        message = message[1 + size :]
-    return found
-
-
-def text(words):
-    return number(len(words.encode())) + words.encode()
-
-
-@functools.cache
-def protocol():
-    """The version of the messages that the program speaks: others are refused unread."""
-    return int(subprocess.check_output([PROGRAM, "version", "--protocol"]))
-
-
-def header(schema, payload, start, sequence=0, epoch=0, version=0):
-    return struct.pack("<4sIIIQQQQ", b"LDTM", schema, crc32c(payload), protocol(), start, sequence, epoch, version)
-
-
-class Start:
-    """The keys of a start of the stranger's own, as in crates/link/src/proof.rs."""
-
-    PURPOSE = "leadtime 2026-12-01 messages between a learner and an actor"
-
-    def __init__(self):
-        self.public, self.secret = sodium.crypto_sign_keypair()
-        self.number = struct.unpack("<Q", blake3(self.public).digest()[:8])[0]
-        self.hellos = 0
-
-    def signed(self, head, body):
-        """A message for all, with its proof."""
-        signature = sodium.crypto_sign(blake3(head + body).digest(), self.secret)[: sodium.crypto_sign_BYTES]
-        return body + self.public + signature
-
-    def proved(self, peer, head, body):
-        """A message for the start with this public key, with its proof."""
-        to = sodium.crypto_sign_ed25519_pk_to_curve25519(peer)
-        shared = sodium.crypto_scalarmult(sodium.crypto_sign_ed25519_sk_to_curve25519(self.secret), to)
-        key = blake3(shared + min(self.public, peer) + max(self.public, peer), derive_key_context=self.PURPOSE).digest()
-        return body + self.public + blake3(head + body, key=key).digest()
-
-
-def hello(actor, start):
-    return text("stranger") + text(actor) + number(start) + text("any") + number(0) + number(1)
-
-
-def assign(epoch, envs):
-    given = (number(env) + number(iteration) + number(len(snapshot)) + snapshot for env, iteration, snapshot in envs)
-    return number(0) + number(epoch) + number(len(envs)) + b"".join(given) + number(0)
-
-
-STOP = number(1) + text("a stranger says so") + b"\x01"
-
-
-class Network:
-    """A stranger's place on the network."""
-
-    def __init__(self, endpoint):
-        settings = {"mode": "client", "connect": {"endpoints": [endpoint]}, "scouting": {"multicast": {"enabled": False}}}
-        self.endpoint, self.session = endpoint, zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
-        self.actors, self.held, self.start, self.publics = {}, [], Start(), {}
-        for reply in self.session.liveliness().get("leadtime/1/*/alive/*/*/*", timeout=2):
-            if reply.ok is not None:
-                _, _, run, _, role, name, start = str(reply.ok.key_expr).split("/")
-                self.root = f"leadtime/1/{run}"
-                if role == "learner":
-                    self.learner = int(start, 16)
-                else:
-                    self.actors[name] = int(start, 16)
-        # Public keys stand behind what is published, in front of a proof. A learner that listens passes no rollouts on: there the
-        # stranger puts its own key in their place, and its proofs do not hold.
-        behind = lambda sample: self.publics.setdefault(str(sample.key_expr).split("/")[-1], bytes(sample.payload)[-64:-32])
-        self.held.append(self.session.declare_subscriber(f"{self.root}/traj/**", behind))
-
-    def show(self, key):
-        self.held.append(self.session.liveliness().declare_token(key))
-
-    def ask(self, key, payload, head=None, take=None, timeout=5):
-        body = {"payload": payload, "attachment": head} if head else {"payload": payload}
-        take = take or (lambda reply: None)
-        self.session.get(f"{self.root}/{key}", take, timeout=timeout, target=zenoh.QueryTarget.ALL, consolidation=zenoh.ConsolidationMode.NONE, **body)
-
-    def order(self, control):
-        """In the learner's name, and in the stranger's own with a proof that holds where the actor's public key is known."""
-        for actor, start in self.actors.items():
-            place, peer = f"ctl/actor/{actor}?incarnation={start}", self.publics.get(actor, self.start.public)
-            for number in (self.learner, self.start.number):
-                head = header(CONTROL, control, number)
-                self.ask(place, self.start.proved(peer, head, control), head)
-
-    def greet(self, ghost, actor):
-        ghost.hellos += 1
-        body = hello(actor, ghost.number)
-        head = header(HELLO, body, ghost.number, ghost.hellos)
-        self.ask("ctl/hello", ghost.signed(head, body), head)
+# Changed messages that `mutate` sends, if there is time for them, and with which seed.
+N_MUTATED, SEED = 1_000_000, 7
 
 
 # --- the attacks: each lasts until `end`, by time.monotonic() ------------------------------------------------------
@@ -245,6 +133,15 @@ def other_run(network, end):
     time.sleep(max(0, end - time.monotonic()))
 
 
+def mutate(network, end):
+    """Genuine messages of all kinds, changed; see mutations.py."""
+    network.mutations = Mutations(network, SEED)
+    network.mutations.listen()
+    # Orders and hellos are heard when somebody joins.
+    network.mutations.hear_all(patience=30)
+    network.mutations.attack(N_MUTATED, end)
+
+
 ATTACKS = {
     "sequence": sequence,
     "garbage": on_live_keys(lambda session, key: session.put(key, b"garbage")),
@@ -261,6 +158,7 @@ ATTACKS = {
     "silent": silent,
     "fat": fat,
     "other-run": other_run,
+    "mutate": mutate,
 }
 
 # --- the run that is attacked --------------------------------------------------------------------------------------
@@ -275,7 +173,7 @@ class Trial:
     """A learner and its actors."""
 
     def __init__(self, path, steps, has_router):
-        self.path, self.actors, self.peak = path, {}, 0
+        self.path, self.actors, self.others, self.peaks = path, {}, {}, {}
         self.endpoint = f"tcp/127.0.0.1:{free_port()}"
         self.router = [self.start("router", "router", "--listen", self.endpoint)] if has_router else []
         at = "--connect" if has_router else "--listen"
@@ -289,20 +187,37 @@ class Trial:
     def join(self, name):
         self.actors[name] = self.start(name, "actor", "--connect", self.endpoint, "--id", name, "--connect-timeout", "30s")
 
+    def processes(self):
+        routers = {"router": router for router in self.router}
+        return {"learner": self.learner, **routers, **self.actors, **self.others}
+
     def updates(self):
         metrics = self.path / "runs/r/metrics.jsonl"
         return metrics.read_bytes().count(b"\n") if metrics.exists() else 0
 
-    def watch(self, end):
-        """Updates a second until then, or until the learner ends."""
-        began, before = time.monotonic(), self.updates()
-        while time.monotonic() < end and self.learner.poll() is None:
-            time.sleep(0.05)
+    def memory(self):
+        """Megabytes of every process that lives."""
+        found = {}
+        for name, process in self.processes().items():
             try:
-                status = Path(f"/proc/{self.learner.pid}/status").read_text()
+                status = Path(f"/proc/{process.pid}/status").read_text()
             except OSError:
                 continue
-            self.peak = max(self.peak, *(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
+            found |= {name: int(line.split()[1]) / 1024 for line in status.splitlines() if line.startswith("VmRSS")}
+        return found
+
+    def watch(self, end, while_=lambda: True):
+        """Notes memory until then, or until the learner ends."""
+        while time.monotonic() < end and self.learner.poll() is None and while_():
+            time.sleep(0.05)
+            for name, megabytes in self.memory().items():
+                self.peaks[name] = max(self.peaks.get(name, 0), megabytes)
+
+    def rate(self, *stretches):
+        """Updates a second of what is watched."""
+        began, before = time.monotonic(), self.updates()
+        for stretch in stretches:
+            stretch()
         return (self.updates() - before) / (time.monotonic() - began)
 
     def wait(self, seconds):
@@ -318,7 +233,7 @@ class Trial:
         return codes
 
     def kill(self):
-        end_all([self.learner, *self.actors.values(), *self.router], patience=0)
+        end_all(self.processes().values(), patience=0)
 
     def result(self):
         return json.loads((self.path / "runs/r/run.json").read_text()).get("result") or {}
@@ -327,7 +242,7 @@ class Trial:
 def peace(path, steps, has_router):
     """The weights of an undisturbed run, and its updates a second."""
     trial, began = Trial(path, steps, has_router), time.monotonic()
-    codes = trial.wait(300)
+    codes = trial.wait(1800)
     if codes != [0, 0, 0]:
         sys.exit(f"error: an undisturbed run ended with {codes}: {(path / 'learner.log').read_text()[-2000:]}")
     return trial.result()["weights_sha256"], trial.updates() / (time.monotonic() - began)
@@ -335,29 +250,56 @@ def peace(path, steps, has_router):
 
 def attack(path, name, steps, has_router, weights, seconds):
     """Attacks a run, and returns the outcome as a row of the table."""
-    trial = Trial(path, steps, has_router)
+    # Behind a router without a list everybody hears everything; a learner that listens passes no rollouts on.
+    trial = Trial(path, steps, has_router or name == "mutate")
     try:
         deadline = time.monotonic() + 30
         while trial.updates() < 3 and time.monotonic() < deadline:
             time.sleep(0.02)
-        rates = [trial.watch(time.monotonic() + seconds / 2)]
-        network, end = Network(trial.endpoint), time.monotonic() + seconds
+        if name == "mutate":
+            trial.others["observer"] = trial.start("observer", "watch", "--connect", trial.endpoint, "--run", "r", "--http", "127.0.0.1:0")
+        pause = min(5, seconds / 2)
+        rates = [trial.rate(lambda: trial.watch(time.monotonic() + pause))]
+        network, end, before = Network(trial.endpoint), time.monotonic() + seconds, trial.memory()
         thread = threading.Thread(target=ATTACKS[name], args=(network, end), daemon=True)
         thread.start()
-        rates.append(trial.watch(time.monotonic() + 1))
-        trial.join("late")
-        rates[-1] = (rates[-1] + (seconds - 1) * trial.watch(end)) / seconds
+        first = lambda: trial.watch(time.monotonic() + 1)
+        rates.append(trial.rate(first, lambda: trial.join("late"), lambda: trial.watch(end, thread.is_alive)))
         thread.join(5)
         for held in [*network.held, network.session]:
             {Network: lambda it: it.session.close(), socket.socket: socket.socket.close}.get(type(held), leave)(held)
-        rates.append(trial.watch(time.monotonic() + seconds / 2))
-        codes = trial.wait(120)
+        rates.append(trial.rate(lambda: trial.watch(time.monotonic() + pause)))
+        after, others = trial.memory(), {name: process.poll() for name, process in trial.processes().items()}
+        codes = trial.wait(1800)
         result = trial.result()
         same = "equal" if result.get("weights_sha256") == weights else "OTHER" if result else "NO END"
         balanced = "balanced" if result.get("books", {}).get("balanced") else "-"
-        return f"{name:10} {rates[0]:7.1f} {rates[1]:7.1f} {rates[2]:7.1f}   {trial.peak // 1024:5} MB   {str(codes):22} {same:7} {balanced}"
+        row = f"{name:10} {rates[0]:7.1f} {rates[1]:7.1f} {rates[2]:7.1f}   {trial.peaks['learner']:5.0f} MB   {str(codes):22} {same:7} {balanced}"
+        return row + (details(trial, network.mutations, before, after, others, result) if name == "mutate" else "")
     finally:
         trial.kill()
+
+
+def details(trial, mutations, before, after, ends, result):
+    """What was sent, what became of it, and what the processes made of it."""
+    lines = ["", f"  sent {mutations.n:,} with seed {SEED}, {mutations.n_moles:,} members of our own: " + listed(mutations.sent), "  of them " + listed(mutations.ways)]
+    lines.append("  refused by the learner: " + listed(result.get("books", {}).get("refusals", {})))
+    for name, process in trial.processes().items():
+        log = (trial.path / f"{name}.log").read_text(errors="replace")
+        told = Counter()
+        for line in log.splitlines():
+            if "message refused" in line and (found := re.search(r"kind=\"?(\w+)\"? n=(\d+)", line)):
+                told[found[1]] += int(found[2])
+        refused = f", refused at least {listed(told)}" if told else ""
+        lines.append(
+            f"  {name:9} {before.get(name, 0):5.0f} MB before, {trial.peaks.get(name, 0):5.0f} at most, {after.get(name, 0):5.0f} after, "
+            f"{log.count('panicked')} panics, {'alive' if ends[name] is None else f'ended with {ends[name]}'} when it was over{refused}"
+        )
+    return "\n".join(lines)
+
+
+def listed(counts):
+    return ", ".join(f"{n:,} {name}" for name, n in sorted(counts.items(), key=lambda it: -it[1]))
 
 
 def main():

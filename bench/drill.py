@@ -26,8 +26,9 @@ from processes import free_port
 HOST = "127.0.0.1"
 # The life of an actor's certificate, how long before its end it is made anew, and how often that is looked at.
 LIFETIME, BEFORE, RENEW_EVERY = 60, 35, 10
-# Megabytes by which a process may grow in its longest life, and that none may exceed.
-GROWTH, MOST = 64, 600
+# Seconds after which a process has what it needs, megabytes by which what it has allocated may grow from then on in any of its
+# lives, and that it may take at most, with the parts of the program that it has used.
+SETTLED, GROWTH, MOST = 10, 8, 128
 # Seconds that any command, and the run once the blows are over, may take.
 PATIENCE = 1_200
 # How a process may end by itself: in good order, by a certificate that has ended, without its learner.
@@ -96,12 +97,12 @@ class Process:
     def __init__(self, drill, name, words):
         self.drill, self.name, self.words = drill, name, words
         self.child, self.stopped_until, self.start_at = None, None, 0.0
-        self.memory, self.starts, self.own_ends = [], 0, []
+        self.memory, self.starts, self.started, self.own_ends = [], 0, 0.0, []
 
     def start(self):
         with open(self.drill.place / f"{self.name}.log", "ab") as log:
             self.child = self.drill.start(self.words, log)
-        self.starts += 1
+        self.starts, self.started = self.starts + 1, time.time()
         self.memory.append([])
 
     def is_alive(self):
@@ -125,7 +126,7 @@ class Process:
             os.kill(self.child.pid, signal.SIGCONT)
             self.stopped_until = None
         if (megabytes := resident(self.child.pid)) is not None:
-            self.memory[-1].append(megabytes)
+            self.memory[-1].append((now - self.started, *megabytes))
         return None
 
     def kill(self):
@@ -136,20 +137,22 @@ class Process:
         self.stopped_until = until
 
     def growth(self):
-        """Returns megabytes after a second of the longest life, at its end, and the most of all lives."""
-        lives = [life for life in self.memory if life]
-        longest = max(lives, key=len, default=[0])
-        return longest[min(20, len(longest) - 1)], longest[-1], max(map(max, lives), default=0)
+        """Returns of the life in which it grew most its seconds and the megabytes allocated once it had settled and at its end; the most of all lives."""
+        lives = [life for life in self.memory if life and life[-1][0] > 2 * SETTLED]
+        spans = [(life[-1][0], next(own for at, own, _ in life if at >= SETTLED), life[-1][1]) for life in lives]
+        seconds, first, last = max(spans, key=lambda span: span[2] - span[1], default=(0, 0, 0))
+        return seconds, first, last, max((everything for life in self.memory for _, _, everything in life), default=0)
 
 
 def resident(pid):
+    """Returns the megabytes that a process has allocated, and all that it takes, the used parts of its program included."""
     try:
-        for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-            if line.startswith("VmRSS"):
-                return int(line.split()[1]) // 1024
+        lines = [line.split() for line in Path(f"/proc/{pid}/status").read_text().splitlines()]
     except OSError:
-        pass
-    return None
+        return None
+    kilobytes = {words[0]: int(words[1]) for words in lines if words[0] in ("RssAnon:", "VmRSS:")}
+    # One that has just ended has none.
+    return (kilobytes["RssAnon:"] / 1024, kilobytes["VmRSS:"] / 1024) if len(kilobytes) == 2 else None
 
 
 class Drill:
@@ -280,7 +283,7 @@ class Drill:
 
     def fat(self):
         growths = {process.name: process.growth() for process in [self.learner, *self.actors]}
-        return {name: it for name, it in growths.items() if it[1] - it[0] > GROWTH or it[2] > MOST}
+        return {name: it for name, it in growths.items() if it[2] - it[1] > GROWTH or it[3] > MOST}
 
     def intrude(self, blow, tls, name):
         """Tries to take part as somebody who may not; nobody must let it in."""
@@ -360,9 +363,10 @@ def report(drill, books, record):
     for blow, n in sorted(drill.counts.items()):
         print(f"  {n:5}  {blow}")
     for process in [drill.learner, *drill.actors]:
-        first, last, most = process.growth()
+        seconds, first, last, most = process.growth()
         ends = f", ended by itself with {process.own_ends}" if process.own_ends else ""
-        print(f"  {process.name:8} {process.starts:3} starts, {first} MB then {last} MB in its longest life, {most} MB at most{ends}")
+        print(f"  {process.name:8} {process.starts:3} starts; allocated {first:.1f} MB after {SETTLED} s and {last:.1f} MB at the end, after {seconds:.0f} s, "
+              f"of the life in which it grew most; {most:.0f} MB at most{ends}")
     for told in sorted(drill.told):
         print(f"  told: {told}")
     kept = {key: books.get(key) for key in ("published", "trained", "refused", "superseded", "rolled_back", "duplicates")}
