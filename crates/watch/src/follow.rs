@@ -8,7 +8,7 @@ use flate2::read::GzDecoder;
 use leadtime_link::keys::Member;
 use leadtime_link::{ConnectSettings, Error as LinkError, Events, ObserverEvent, ObserverLink};
 use leadtime_proto::message::Announcement;
-use leadtime_proto::{DomainName, Incarnation, RunName};
+use leadtime_proto::{DomainName, Incarnation, PolicyVersion, RunName};
 use serde_json::Value;
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval, sleep};
@@ -119,8 +119,7 @@ impl Attachment {
             page,
             play,
             answers,
-            is_asking: false,
-            is_known: false,
+            question: Question::default(),
         };
         follower.run(self.events, answered, stop).await;
         if let Err(error) = link.close().await {
@@ -212,6 +211,46 @@ impl Play {
             self.offered = Some((domain, announcement));
         }
     }
+
+    /// Returns the newest version that the learner which is followed now offers, unless it plays.
+    fn wanted(&self, learner: Option<&str>) -> Option<(DomainName, PolicyVersion, [u8; 32])> {
+        let (domain, announcement) = self.offered.as_ref()?;
+        let is_own = learner == Some(announcement.learner.hex().as_str());
+        let &(version, sha256) = announcement.versions.last().filter(|_| is_own)?;
+        (self.pulled != Some(version.0)).then(|| (domain.clone(), version, sha256))
+    }
+}
+
+/// What a learner is asked: what its run is, and how it went.
+#[derive(Debug, Default)]
+struct Question {
+    /// Whether somebody is being asked.
+    is_asked: bool,
+    /// Whether the learner that is followed was asked, and nothing went wrong with that.
+    is_known: bool,
+}
+
+impl Question {
+    /// Returns whether it is to be asked now.
+    fn begin(&mut self) -> bool {
+        let is_due = !self.is_asked && !self.is_known;
+        if is_due {
+            *self = Self { is_asked: true, is_known: true };
+        }
+        is_due
+    }
+
+    /// Another learner is followed: it has to be asked, also if the one before it still is.
+    fn renew(&mut self) {
+        self.is_known = false;
+    }
+
+    /// Takes in that it was answered, or was not. Returns whether the answer counts: it is not that of the learner before.
+    fn end(&mut self, is_answered: bool) -> bool {
+        self.is_asked = false;
+        self.is_known &= is_answered;
+        self.is_known
+    }
 }
 
 struct Follower {
@@ -220,9 +259,7 @@ struct Follower {
     page: Arc<Page>,
     play: Option<Play>,
     answers: mpsc::Sender<Answer>,
-    is_asking: bool,
-    /// Whether the learner that is there now has been asked.
-    is_known: bool,
+    question: Question,
 }
 
 impl Follower {
@@ -260,18 +297,16 @@ impl Follower {
             return;
         }
         if take_in(&self.page, event) {
-            self.is_known = false;
+            self.question.renew();
         }
         self.ask();
     }
 
     /// Asks a learner that is new what its run is and how it went.
     fn ask(&mut self) {
-        let is_there = self.page.with(|view, _| view.has_learner());
-        if self.is_known || self.is_asking || !is_there {
+        if !self.page.with(|view, _| view.has_learner()) || !self.question.begin() {
             return;
         }
-        self.is_asking = true;
         let (link, run, answers) = (Arc::clone(&self.link), self.run.clone(), self.answers.clone());
         tokio::spawn(async move {
             let asked = async {
@@ -289,12 +324,11 @@ impl Follower {
 
     fn answer(&mut self, answer: Answer) {
         match answer {
-            Answer::Asked(None) => {
-                self.is_asking = false;
-                self.ask();
-            }
-            Answer::Asked(Some((about, history))) => {
-                (self.is_asking, self.is_known) = (false, true);
+            Answer::Asked(asked) => {
+                let is_answered = self.question.end(asked.is_some());
+                let Some((about, history)) = asked.filter(|_| is_answered) else {
+                    return self.ask();
+                };
                 let config = about["config"].as_str().map(str::to_owned);
                 self.page.with(|view, now| {
                     view.about(about, now);
@@ -324,13 +358,13 @@ impl Follower {
         let is_watched = self.page.n_watching() > 0;
         let Some(play) = self.play.as_mut().filter(|_| is_watched) else { return };
         let is_due = play.pulled_at.is_none_or(|at| at.elapsed() >= PULL_PAUSE);
-        let Some((domain, announcement)) = &play.offered else { return };
-        let Some(&(version, sha256)) = announcement.versions.last() else { return };
-        if play.is_pulling || !is_due || play.pulled == Some(version.0) {
+        if play.is_pulling || !is_due {
             return;
         }
+        let wanted = self.page.with(|view, _| play.wanted(view.learner()));
+        let Some((domain, version, sha256)) = wanted else { return };
         (play.is_pulling, play.pulled_at) = (true, Some(Instant::now()));
-        let (link, run, domain) = (Arc::clone(&self.link), self.run.clone(), domain.clone());
+        let (link, run) = (Arc::clone(&self.link), self.run.clone());
         let answers = self.answers.clone();
         tokio::spawn(async move {
             let pulled = link.pull_weights(&run, &domain, version, sha256).await;
@@ -345,9 +379,18 @@ impl Follower {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::PolicyVersion;
-
     use super::*;
+
+    #[test]
+    fn a_learner_that_comes_while_another_is_asked_is_asked_as_well() {
+        let mut question = Question::default();
+        assert!(question.begin() && !question.begin());
+        question.renew();
+        assert!(!question.begin(), "one question at a time");
+        assert!(!question.end(true), "this is how the run of the one before it went");
+        assert!(question.begin() && !question.end(false), "no answer");
+        assert!(question.begin() && question.end(true) && !question.begin());
+    }
 
     #[test]
     fn only_the_learner_that_is_followed_offers_what_is_played() {
@@ -370,5 +413,7 @@ mod tests {
         assert_eq!(offer(stranger, 99), None);
         assert_eq!(offer(own, 3), Some(PolicyVersion(3)));
         assert_eq!(offer(stranger, 99), Some(PolicyVersion(3)));
+        let wanted = |learner: Incarnation| play.wanted(Some(&learner.hex())).map(|it| it.1);
+        assert_eq!((wanted(own), wanted(stranger)), (Some(PolicyVersion(3)), None));
     }
 }
