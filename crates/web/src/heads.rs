@@ -91,7 +91,7 @@ impl Drop for HeadDebt {
 pub(crate) struct Answering(Arc<HeadDebt>);
 
 impl Answering {
-    /// Goes on until all of a body is sent.
+    /// Goes on until all of a body is handed to the connection.
     pub(crate) fn with(self, body: Body) -> AnswerBody {
         AnswerBody { body, _answering: self }
     }
@@ -103,7 +103,7 @@ impl Drop for Answering {
     }
 }
 
-/// The body of an answer, which is dropped once it is sent.
+/// The body of an answer, which is dropped once all of it is handed to the connection.
 #[derive(Debug)]
 pub(crate) struct AnswerBody {
     body: Body,
