@@ -53,7 +53,7 @@ pub(super) async fn run(tasks: &Tasks, args: &ServeArgs) -> Result<(), Failure> 
     let own = clock::incarnation();
     let opened = LiveServiceLink::open(&settings, &args.service, own).await;
     let (link, events) = opened.map_err(listening_failure)?;
-    check_alone(&link, &args.service, own).await?;
+    check_alone(&link, &args.service, own, settings.identity.is_some()).await?;
     let (domain, service) = (policy.domain.clone(), &args.service);
     let sentences = counted(policy.n_sentences(), "sentence");
     let locators = link.locators().join(", ");
@@ -92,20 +92,32 @@ async fn check_alone(
     link: &LiveServiceLink,
     name: &ServiceName,
     own: Incarnation,
+    is_guarded: bool,
 ) -> Result<(), Failure> {
     match link.other(own).await.map_err(listening_failure)? {
         OtherNotifier::Absent => Ok(()),
         OtherNotifier::Silent => {
-            tracing::warn!(
-                "somebody shows the presence of a notifier `{name}` and does not answer as one: clients may take it for \
-                 this one (see --tls)"
-            );
+            tracing::warn!("{}", silence(name, is_guarded));
             Ok(())
         }
         OtherNotifier::AtWork => Err(Failure::input(format!(
             "a notifier `{name}` is at work there already: choose another --service"
         ))),
     }
+}
+
+/// Says what another notifier of this name may be that does not answer. Nobody shows its presence without a certificate where they
+/// are asked for.
+fn silence(name: &ServiceName, is_guarded: bool) -> String {
+    let remedy = if is_guarded {
+        ". If it is one at work, two speak now: an access list that an older release wrote lets none ask the other; `leadtime \
+         certs acl` writes it again"
+    } else {
+        " (see --tls)"
+    };
+    format!(
+        "somebody shows the presence of a notifier `{name}` and does not answer as one: clients may take it for this one{remedy}"
+    )
 }
 
 /// Loads the policy with its words.
@@ -376,6 +388,13 @@ impl StateStore for StateDirectory {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_notifier_that_does_not_answer_is_no_strangers_where_certificates_are_asked_for() {
+        let said = |is_guarded| silence(&ServiceName::new("n").unwrap(), is_guarded);
+        assert!(said(false).ends_with("(see --tls)"));
+        assert!(said(true).contains("an access list that an older release wrote"));
+    }
 
     /// Writes a file that was changed so long ago.
     fn aged(path: &Path, age: Duration) {
