@@ -1,5 +1,6 @@
 //! What the learner calls while it works: its progress is written down, shown and logged.
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -19,40 +20,38 @@ use tracing::{debug, error, info, warn};
 use crate::display::Display;
 use crate::service::{self, Service};
 
-/// The most lines in the log, in a minute, about actors that join, and about those that leave: who takes part without certificates may
-/// come under as many names as they like.
-const MEMBER_LINES: u32 = 64;
+/// The most lines in the log, of a kind and in a minute, about what actors do: who takes part without certificates may come under as
+/// many names as they like.
+const ACTOR_LINES: u32 = 64;
 
-/// The lines about actors that come and go.
-#[derive(Debug)]
-struct MemberLines {
-    joined: RareLine,
-    left: RareLine,
-}
+/// The lines about what actors do, by kind.
+#[derive(Debug, Default)]
+struct ActorLines(BTreeMap<&'static str, RareLine>);
 
-impl Default for MemberLines {
-    fn default() -> Self {
-        let line = || RareLine::of_many(MEMBER_LINES);
-        Self { joined: line(), left: line() }
+impl ActorLines {
+    /// Returns what a line of a kind ends with, if it is time for one.
+    fn suffix(&mut self, kind: &'static str, now: Instant) -> Option<String> {
+        self.0.entry(kind).or_insert_with(|| RareLine::of_many(ACTOR_LINES)).suffix(now)
     }
 }
 
-impl MemberLines {
-    /// Returns the line about an event of the members, if it is time for one.
-    fn line(&mut self, event: &RunEvent, now: Instant) -> Option<String> {
-        match event {
-            RunEvent::ActorJoined { actor, n_actors } => {
-                let more = self.joined.suffix(now)?;
-                Some(format!("actor joined: {actor} ({}){more}", counted(n_actors, "actor")))
-            }
-            RunEvent::ActorLeft { actor, n_actors, n_envs } => {
-                let more = self.left.suffix(now)?;
-                let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
-                Some(format!("actor left: {actor}, which had {envs} ({actors} now){more}"))
-            }
-            _ => None,
-        }
-    }
+/// Names the kind of an event that actors can cause as often as they like; `None` for every other.
+fn kind_of_actors(event: &RunEvent) -> Option<&'static str> {
+    Some(match event {
+        RunEvent::ActorJoined { .. } => "joined",
+        RunEvent::ActorLeft { .. } => "left",
+        RunEvent::WaitingForActors { .. } => "too few",
+        RunEvent::TooManyActors { .. } => "too many",
+        RunEvent::Refused { .. } => "refused",
+        RunEvent::CutOff { .. } => "cut off",
+        RunEvent::WaitingForRollouts { .. } => "late",
+        RunEvent::Astray { .. } => "astray",
+        RunEvent::Distrusted { .. } => "distrusted",
+        RunEvent::InheritedRefused { .. } => "inherited",
+        RunEvent::SnapshotRefused { .. } => "snapshot refused",
+        RunEvent::SnapshotLost { .. } => "snapshot lost",
+        _ => return None,
+    })
 }
 
 /// Records a run's progress and shows it.
@@ -61,7 +60,7 @@ pub(crate) struct RunSink {
     directory: PathBuf,
     recorder: RunRecorder,
     display: Display,
-    members: MemberLines,
+    actor_lines: ActorLines,
     has_warned: bool,
     /// Whether it was logged that policies cannot be evaluated.
     has_told_failure: bool,
@@ -87,7 +86,7 @@ impl RunSink {
             directory,
             recorder,
             display: Display::new(),
-            members: MemberLines::default(),
+            actor_lines: ActorLines::default(),
             has_warned: false,
             has_told_failure: false,
             status: None,
@@ -175,10 +174,14 @@ impl ProgressSink for RunSink {
             // And what the last try takes.
             service::extend(*kept + shutdown::DEADLINE);
         }
-        if let Some(line) = self.members.line(event, Instant::now()) {
-            info!("{line}");
+        match kind_of_actors(event) {
+            None => log(event),
+            Some(kind) => {
+                if let Some(more) = self.actor_lines.suffix(kind, Instant::now()) {
+                    log_actors(event, &more);
+                }
+            }
         }
-        log(event);
     }
 
     fn on_tick(&mut self, health: &RunHealth) {
@@ -232,10 +235,9 @@ pub(crate) fn held_out_sentence(means: &HeldOutMeans) -> String {
 
 fn log(event: &RunEvent) {
     use RunEvent::{
-        ActorJoined, ActorLeft, Assigned, Astray, CheckpointDamaged, CheckpointFailed,
-        CheckpointRecovered, CheckpointWritten, CutOff, Distrusted, Evaluating, EvaluationFailed,
-        InheritedRefused, Listening, OtherBuild, Paused, Reached, Refused, Resumed, SnapshotLost,
-        SnapshotRefused, Stopping, TooManyActors, Unsaved, WaitingForActors, WaitingForRollouts,
+        Assigned, CheckpointDamaged, CheckpointFailed, CheckpointRecovered, CheckpointWritten,
+        Evaluating, EvaluationFailed, Listening, OtherBuild, Paused, Reached, Resumed, Stopping,
+        Unsaved,
     };
     match event {
         Listening { locators } if locators.is_empty() => {
@@ -248,40 +250,14 @@ fn log(event: &RunEvent) {
         CheckpointDamaged { path, damage } => {
             warn!(checkpoint = %path.display(), "a checkpoint cannot be used: {damage}; using the previous one");
         }
-        // Logged as often as they may be.
-        ActorJoined { .. } | ActorLeft { .. } => {}
-        WaitingForActors { n_actors, n_needed } => {
-            info!("waiting for actors: {n_actors} of {n_needed}");
-        }
         Assigned { actor, epoch, n_given, n_kept } => {
             debug!(%actor, %epoch, n_given, n_kept, "environments assigned");
         }
-        Refused { actor, cause, reason } => {
-            let actor = actor.as_ref().map_or("unknown", |actor| actor.as_str());
-            warn!(actor, %cause, "message refused: {reason}");
-        }
-        CutOff { actor, reason, .. } => warn!(%actor, "actor cut off: {reason}"),
         OtherBuild { actor, build } => {
             let who = actor.as_ref().map_or("this learner", |actor| actor.as_str());
             let (program, cpu) = (&build.program, &build.cpu);
             let told = "another build of the program, or class of CPU, than before";
             warn!(who, program, cpu, "{told}: the run is not reproducible bit for bit");
-        }
-        WaitingForRollouts { actor, n_envs, waited } => {
-            let (envs, time) = (counted(n_envs, "environment"), duration(*waited));
-            warn!("waiting for rollouts of actor {actor} ({envs}), for {time} so far");
-        }
-        Astray { .. } | Distrusted { .. } | InheritedRefused { .. } => log_wrong_way(event),
-        TooManyActors { n_actors, n_envs } => {
-            let idle = "some have nothing to do (see learner.n_envs)";
-            let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
-            warn!("{actors} for {envs}: {idle}");
-        }
-        SnapshotRefused { actor, env_id } => {
-            warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot");
-        }
-        SnapshotLost { env_id } => {
-            warn!(%env_id, "nobody can go on with the environment from its snapshot: its last rollouts are made again, or a fresh episode begins");
         }
         CheckpointWritten { path, n_updates } => {
             debug!(n_updates, checkpoint = %path.display(), "checkpointed");
@@ -291,6 +267,53 @@ fn log(event: &RunEvent) {
         }
         Reached { .. } | Evaluating | EvaluationFailed { .. } => log_evaluation(event),
         Stopping => info!("stopping: writing checkpoint and books"),
+        // What actors cause is logged as often as it may be.
+        _ => {}
+    }
+}
+
+/// Logs what actors do; `more` says how often there was reason for this line.
+fn log_actors(event: &RunEvent, more: &str) {
+    use RunEvent::{
+        ActorJoined, ActorLeft, CutOff, Refused, SnapshotLost, SnapshotRefused, TooManyActors,
+        WaitingForActors, WaitingForRollouts,
+    };
+    match event {
+        ActorJoined { actor, n_actors } => {
+            info!("actor joined: {actor} ({}){more}", counted(n_actors, "actor"));
+        }
+        ActorLeft { actor, n_actors, n_envs } => {
+            let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
+            info!("actor left: {actor}, which had {envs} ({actors} now){more}");
+        }
+        WaitingForActors { n_actors, n_needed } => {
+            info!("waiting for actors: {n_actors} of {n_needed}{more}");
+        }
+        Refused { actor, cause, reason } => {
+            let actor = actor.as_ref().map_or("unknown", |actor| actor.as_str());
+            warn!(actor, %cause, "message refused: {reason}{more}");
+        }
+        CutOff { actor, reason, .. } => warn!(%actor, "actor cut off: {reason}{more}"),
+        WaitingForRollouts { actor, n_envs, waited } => {
+            let (envs, time) = (counted(n_envs, "environment"), duration(*waited));
+            warn!("waiting for rollouts of actor {actor} ({envs}), for {time} so far{more}");
+        }
+        TooManyActors { n_actors, n_envs } => {
+            let idle = "some have nothing to do (see learner.n_envs)";
+            let (actors, envs) = (counted(n_actors, "actor"), counted(n_envs, "environment"));
+            warn!("{actors} for {envs}: {idle}{more}");
+        }
+        SnapshotRefused { actor, env_id } => {
+            warn!(%actor, %env_id, "the actor cannot restore the environment from its snapshot{more}");
+        }
+        SnapshotLost { env_id } => {
+            warn!(
+                %env_id,
+                "nobody can go on with the environment from its snapshot: its last rollouts are made again, or a fresh \
+                 episode begins{more}"
+            );
+        }
+        _ => log_wrong_way(event, more),
     }
 }
 
@@ -313,16 +336,16 @@ fn log_evaluation(event: &RunEvent) {
 }
 
 /// Says what an actor has done that the others, or the run, have to make up for.
-fn log_wrong_way(event: &RunEvent) {
+fn log_wrong_way(event: &RunEvent, more: &str) {
     match event {
         RunEvent::Distrusted { actor, reason } => {
-            warn!(%actor, "the other actors take over environments from this one: {reason}");
+            warn!(%actor, "the other actors take over environments from this one: {reason}{more}");
         }
         RunEvent::Astray { actor, told } => {
             warn!(
                 %actor,
                 "the actor follows assignment {told}, which this learner did not give: it gets its environments anew. If \
-                 that happens again, somebody else gives orders on this network (see --tls)"
+                 that happens again, somebody else gives orders on this network (see --tls){more}"
             );
         }
         RunEvent::InheritedRefused { actor, env_id, begun_by, reason } => {
@@ -332,7 +355,7 @@ fn log_wrong_way(event: &RunEvent) {
                 %env_id,
                 begun_by,
                 "a rollout is refused: {reason}. It may follow from what others made of the episode before, so that it is \
-                 not charged to the actor, and another one tries to go on from there"
+                 not charged to the actor, and another one tries to go on from there{more}"
             );
         }
         _ => {}
@@ -370,28 +393,30 @@ fn log_saving(event: &RunEvent) {
 
 #[cfg(test)]
 mod tests {
-    use leadtime_proto::ActorId;
+    use leadtime_proto::{ActorId, Incarnation};
 
     use super::*;
 
     #[test]
-    fn actors_that_come_and_go_under_any_number_of_names_do_not_fill_the_log() {
-        let (mut lines, now) = (MemberLines::default(), Instant::now());
+    fn actors_of_any_number_of_names_do_not_fill_the_log() {
+        let (mut lines, now) = (ActorLines::default(), Instant::now());
         let mut tell = |n: usize, now| {
             let actor = ActorId::new(format!("a{n}")).unwrap();
-            let joined = RunEvent::ActorJoined { actor: actor.clone(), n_actors: 1 };
-            let left = RunEvent::ActorLeft { actor, n_actors: 0, n_envs: 2 };
-            [joined, left].map(|event| lines.line(&event, now))
+            let incarnation = Incarnation(1);
+            let reason = String::new();
+            [
+                RunEvent::ActorJoined { actor: actor.clone(), n_actors: 1 },
+                RunEvent::CutOff { actor: actor.clone(), incarnation, reason },
+                RunEvent::ActorLeft { actor, n_actors: 0, n_envs: 2 },
+                RunEvent::WaitingForActors { n_actors: 0, n_needed: 1 },
+            ]
+            .map(|event| lines.suffix(kind_of_actors(&event).unwrap(), now))
         };
-        let [joined, left] = tell(0, now);
-        assert_eq!(joined.unwrap(), "actor joined: a0 (1 actor)");
-        assert_eq!(left.unwrap(), "actor left: a0, which had 2 environments (0 actors now)");
+        assert_eq!(tell(0, now), [const { Some(String::new()) }; 4]);
         let n_told: usize = (1..1_000).map(|n| tell(n, now).iter().flatten().count()).sum();
-        assert_eq!(n_told, 2 * (MEMBER_LINES as usize - 1));
-        let [joined, _left] = tell(1_000, now + std::time::Duration::from_mins(1));
-        assert_eq!(
-            joined.unwrap(),
-            "actor joined: a1000 (1 actor) (937 times since the last line)"
-        );
+        assert_eq!(n_told, 4 * (ACTOR_LINES as usize - 1));
+        let later = tell(1_000, now + std::time::Duration::from_mins(1));
+        assert_eq!(later, [(); 4].map(|()| Some(" (937 times since the last line)".to_owned())));
+        assert_eq!(kind_of_actors(&RunEvent::Stopping), None, "nobody else's line is kept back");
     }
 }
