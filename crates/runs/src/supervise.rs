@@ -146,10 +146,10 @@ async fn watch(
     }
 }
 
-/// Restarts the actors that a learner had dismissed before it was killed: its next start may need them, unless all updates
-/// are made. If it finds in its checkpoint that the run has ended before (`evaluation.stop_at`), it ends, and they end with it.
+/// Restarts the actors that a learner had dismissed before it was killed: its next start needs them, unless its newest checkpoint
+/// holds all updates. If it finds there that the run has ended before (`evaluation.stop_at`), it ends, and they end with it.
 fn call_back(plan: &ProcessPlan, actors: &mut [ChildHandle]) {
-    if layout::n_updates(&plan.run) >= plan.n_updates {
+    if layout::n_saved(&plan.run).is_ok_and(|n_updates| n_updates >= plan.n_updates) {
         return;
     }
     for actor in actors.iter_mut().filter(|actor| actor.health == ChildHealth::Gone(Some(0))) {
@@ -442,8 +442,15 @@ mod tests {
         let ended = watch(&plan, &mut learner, &mut actors, &stop).await;
         assert_eq!(ended, Ended::Learner(Some(0)));
         assert_eq!(actors.map(|actor| actor.started > begun), [true, false, false]);
-        // Where nothing is left to train, nobody is needed.
+        // Made and not saved: the next start makes the last updates again.
         std::fs::write(run.path().join("metrics.jsonl"), "{\"update\": 10}\n").unwrap();
+        let mut actors = healths.map(gone);
+        call_back(&plan, &mut actors);
+        assert_eq!(actors[0].health, ChildHealth::Alive);
+        // Where nothing is left to train, nobody is needed.
+        let checkpoints = run.path().join("checkpoints");
+        std::fs::create_dir(&checkpoints).unwrap();
+        std::fs::write(checkpoints.join("000000000010.checkpoint"), "state").unwrap();
         let mut actors = healths.map(gone);
         call_back(&plan, &mut actors);
         assert_eq!(actors.map(|actor| actor.health), healths);
