@@ -14,7 +14,7 @@
 //! codec    the one door         encode, decode (the only file that names bincode)
 //! receive  message validation   size, header, schema, checksum, decode
 //! refusal  what fails there     Refusal: cause, sentence, sender; the books count it
-//! text     words for people     quoted and cut; `phrase`: counted, timed, guessed
+//! text     words for people     quoted and cut; `phrase`: counted, timed, guessed; `wording`: of wrong TOML
 //! fakes    for tests            a small run: its spec, a hello, a welcome, a rollout
 //! ```
 //!
@@ -39,6 +39,7 @@ pub mod rollout;
 pub mod schedule;
 pub mod spec;
 pub mod text;
+pub mod wording;
 
 pub use header::Header;
 pub use ids::{

@@ -100,7 +100,7 @@ fn a_wrong_change_on_the_command_line_is_told_by_its_key() {
     let check = |set: &str, texts: &[&str]| {
         refused(&place, &["check -c cartpole --set", set], texts);
     };
-    check("learner.clipp=1", &["learner.clipp", "unknown field"]);
+    check("learner.clipp=1", &["learner.clipp", "unknown key"]);
     check("learner.clip=much", &["learner.clip", "expected"]);
     check("learner.clip", &["section.key=value"]);
     check("learner.clip=inf", &["`learner.clip` is inf", "allowed: a finite number"]);
@@ -151,7 +151,7 @@ fn a_change_of_a_run_that_goes_on_is_told_by_its_own_option() {
             refused(&place, &[command, SMALL, args], texts);
         }
     };
-    let unknown = ["--change learner.clp", "unknown field `clp`", "did you mean `clip`?"];
+    let unknown = ["--change learner.clp", "unknown key `clp`", "did you mean `clip`?"];
     told("--change learner.clp=0.1", &unknown);
     told("--change learner.clip=nan", &["--change learner.clip", "a finite number"]);
     told("--change learner.n_envs=16", &["`learner.n_envs` cannot change while a run goes on"]);

@@ -290,7 +290,7 @@ fn a_wrong_plan_prompt_or_log_is_told_before_anybody_is_asked() {
     let names = ["--set settings.theta", "`settings.theta` of the plan is 0", "1 to 100 percent"];
     theta.saying(&names);
     let bound = with("highway --set settings.bound=60");
-    bound.saying(&["--set settings.bound", "unknown field `bound`"]);
+    bound.saying(&["--set settings.bound", "unknown key `bound`"]);
     taxonomy(&place, &["report highway --set settings.theta=60"])
         .with_code(WRONG_INPUT)
         .saying(&["--log is missing"]);

@@ -371,7 +371,7 @@ fn known_keys(layers: &Layers<'_>) -> Result<(), ConfigError> {
         Some([full, _]) => format!("; did you mean `{full}`?"),
         None => format!(", expected one of `{}`", known.join("`, `")),
     };
-    Err(layers.refuse(Some(key.span()), &format!("unknown field `{name}`{hint}")))
+    Err(layers.refuse(Some(key.span()), &format!("unknown key `{name}`{hint}")))
 }
 
 fn check_evaluation(

@@ -15,11 +15,11 @@ use toml::de::{DeTable, DeValue, Deserializer, Error};
 use toml::{Spanned, Table, Value};
 
 use leadtime_proto::text::{escaped, printable, quoted};
+use leadtime_proto::wording::{kind, worded};
 
 use crate::error::{ConfigError, ensure};
 use crate::nesting::{self, Refused};
 use crate::overrides::Override;
-use crate::wording::{kind, worded};
 
 /// Positions of the i-th layer begin at i times this, so that one number says layer and byte.
 const STRIDE: usize = 1 << 40;
@@ -351,7 +351,7 @@ fn placed<'a>(
             return refuse(x.as_str(), "a finite number");
         }
         DeValue::Datetime(date) => {
-            return refuse(&date.to_string(), "all but a date, which is a text in quotes");
+            return refuse(&date.to_string(), "a date as text in quotes only");
         }
         DeValue::Integer(n) if i64::from_str_radix(n.as_str(), n.radix()).is_err() => {
             return refuse(&quoted(n.as_str()), &format!("whole numbers up to {}", i64::MAX));

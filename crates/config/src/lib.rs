@@ -28,7 +28,6 @@ mod layers;
 mod nesting;
 mod overrides;
 mod sections;
-mod wording;
 mod written;
 
 pub use catalog::Catalog;

@@ -22,7 +22,7 @@ fn a_study_reads_as_it_is_written() {
 #[test]
 fn an_inconsistent_study_is_refused_with_one_sentence() {
     for (from, to, reason) in [
-        ("title = \"t\"", "heading = \"t\"", "unknown field `heading`"),
+        ("title = \"t\"", "heading = \"t\"", "unknown key `heading`"),
         ("name = \"b\"", "name = \"a\"", "`a` is there twice"),
         ("name = \"b\"", "name = \"B 2\"", "`B 2` is not a name"),
         ("on = [\"long\"]", "on = [\"short\"]", "row `b`: there is no evaluation `short`"),
@@ -51,7 +51,7 @@ fn an_inconsistent_study_is_refused_with_one_sentence() {
             "trajectories_on = \"x\"\nquick",
             "`trajectories_on`: there is no evaluation `x`",
         ),
-        ("quick", "maps = [{ profile = \"lander\" }]\nquick", "missing field `title`"),
+        ("quick", "maps = [{ profile = \"lander\" }]\nquick", "missing key `title`"),
     ] {
         let text = refused(from, to);
         assert!(text.contains(reason), "{reason}: {text}");
