@@ -7,8 +7,8 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[expect(missing_docs, reason = "the sentence of each variant names its fields")]
 pub enum Error {
-    #[error("no script can be read from it")]
-    Text(#[from] toml::de::Error),
+    #[error("line {line} of the script: {reason}")]
+    Text { line: usize, reason: String },
     #[error("rule {rule}: {sentence}")]
     Rule { rule: usize, sentence: String },
     #[error("the script has {n} rules; allowed: at most {most}")]

@@ -14,6 +14,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use leadtime_proto::wording::worded;
+
 use crate::error::Error;
 
 /// The most rules of a script, and conditions of a rule.
@@ -93,7 +95,12 @@ impl Script {
         struct ScriptFile {
             rules: Vec<ScriptRule>,
         }
-        let ScriptFile { rules } = toml::from_str(text)?;
+        let refused = |error: toml::de::Error| {
+            let at = error.span().map_or(0, |span| span.start);
+            let line = 1 + text.bytes().take(at).filter(|byte| *byte == b'\n').count();
+            Error::Text { line, reason: worded(error.message()).replace('\n', ", ") }
+        };
+        let ScriptFile { rules } = toml::from_str(text).map_err(refused)?;
         let script = Self { rules };
         script.check()?;
         Ok(script)
@@ -301,7 +308,12 @@ say = { topic = "descend", k = 2, l = 2 }
         );
         assert!(refused("when = [{ of = \"y\", below = inf }]").contains("not finite"));
         assert!(refused("pause = 1001").contains("allowed: at most 1000 steps"));
-        assert_eq!(refused("wen = []"), "no script can be read from it");
+        assert!(
+            refused("\nwen = []").starts_with("line 3 of the script: unknown key `wen`; did you")
+        );
+        let negative =
+            "line 2 of the script: invalid value: whole number `-1`, expected a whole number that";
+        assert!(refused("pause = -1").starts_with(negative));
         let long = "[[rules]]\n".repeat(65);
         assert!(Script::read(&long).unwrap_err().to_string().contains("at most 64"));
     }
