@@ -291,7 +291,7 @@ fn a_run_that_lost_its_checkpoints_is_refused_and_one_killed_before_the_first_be
         assert_eq!(fs::read(runs.path().join(name).join(LAST_POLICY)).unwrap(), b"weights");
     }
     assert_eq!(open(runs.path(), Some("gone"), &[]).unwrap().1, RunState::Finished);
-    // No checkpoint could ever be written: that may be, and only who runs it knows.
+    // No checkpoint could ever be written: that may be, and only the person who runs it knows.
     let (run, _) = open(runs.path(), Some("full"), &[]).unwrap();
     train(&run, 37, false);
     let journal = run.path.join("metrics.jsonl");

@@ -73,7 +73,7 @@ pub fn n_updates(path: &Path) -> u64 {
     n_updates_with(path, result.as_ref())
 }
 
-/// As [`n_updates`], for who has read the run's record.
+/// As [`n_updates`], with the result of the run's record.
 pub(crate) fn n_updates_with(path: &Path, result: Option<&RunResult>) -> u64 {
     told_updates(path, result).into_iter().filter_map(Result::ok).max().unwrap_or(0)
 }

@@ -184,7 +184,7 @@ impl RunRecorder {
         self.is_rewound = true;
         if let Some(missing) = missing {
             let journal = self.directory.join(JOURNAL);
-            warn!(journal = %journal.display(), "metrics of {missing} are missing: a full disk or a damaged file has lost them");
+            warn!(journal = %journal.display(), "metrics of {missing} are missing: the disk was full, or the file was damaged or moved away");
         }
         Ok(())
     }
