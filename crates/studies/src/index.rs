@@ -167,11 +167,13 @@ mod tests {
             let made = result.markdown();
             assert_eq!(page.lines().zip(made.lines()).find(differs), None, "{name}: page, data");
             assert_eq!(page, made, "{name}");
+            let study = &catalog::find(name).unwrap()[0].study;
+            assert_eq!((&result.title, &result.lead), (&study.title, &study.lead), "{name}");
             pages.push(name.to_owned());
         }
         let index = fs::read_to_string(shipped().join(FILE)).unwrap();
         assert_eq!(page(&shipped()).unwrap(), index);
-        pages.extend(["README".to_owned()]);
+        pages.push("README".to_owned());
         pages.sort();
         let files = fs::read_dir(shipped()).unwrap().map(|entry| entry.unwrap().path());
         let files = files.filter(|file| file.extension().is_some_and(|end| end == "md"));
