@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use crate::error::TaxonomyError;
-use crate::facts::{self, FactSet, MAX_FACTS, NEVER_TOLD};
+use crate::facts::{self, FactSet, MAX_FACTS};
 use crate::raw::{RawDatabase, RawUtterance, SCHEMA};
 use crate::utterance::{Cell, Fidelity, SpanKind, Utterance};
 use crate::words;
@@ -86,6 +86,8 @@ pub struct Taxonomy {
     topics: Vec<Topic>,
     /// Names of what sentences presuppose, in the order of the alphabet.
     facts: Vec<String>,
+    /// Those that the plan of the domain names.
+    planned: FactSet,
 }
 
 impl Taxonomy {
@@ -133,7 +135,7 @@ impl Taxonomy {
         }
         let RawDatabase { domain, fidelity, generator, rater, theta, words, .. } = raw;
         let header = DatabaseHeader { domain, fidelity, generator, rater, theta, words };
-        Ok(Self { header, topics, facts })
+        Ok(Self { header, topics, facts, planned: FactSet::NONE })
     }
 
     /// Returns what the file says of itself.
@@ -184,7 +186,15 @@ impl Taxonomy {
         Err(TaxonomyError(format!("the database speaks of [{found}], the domain of [{expected}]")))
     }
 
-    /// Makes sure that a domain states every fact that a sentence presupposes, those of [`NEVER_TOLD`] excepted.
+    /// Notes what the plan of the domain names: a sentence that presupposes it is no mistake where the domain does not tell it. It is
+    /// never said, and the others are.
+    #[cfg(feature = "pipeline")]
+    pub(crate) fn planned<'n>(self, names: impl IntoIterator<Item = &'n str>) -> Self {
+        let planned = self.facts_named(names);
+        Self { planned, ..self }
+    }
+
+    /// Makes sure that a domain states every fact that a sentence presupposes, those excepted that its plan names.
     ///
     /// # Errors
     ///
@@ -192,15 +202,15 @@ impl Taxonomy {
     /// that the domain states.
     pub fn expect_facts(&self, told: &[&str]) -> Result<(), TaxonomyError> {
         // One slip of a model, or of a person, must not make the other sentences useless.
-        let known = self.facts_named(told.iter().copied().chain(NEVER_TOLD));
+        let told_here = self.facts_named(told.iter().copied());
+        let known = self.planned.places().fold(told_here, FactSet::with);
+        let is_known = |place: usize| known.includes(FactSet::NONE.with(place));
         let mut all = self.topics.iter().flat_map(|topic| &topic.utterances);
-        let Some(sentence) = all.find(|utterance| !known.includes(utterance.facts)) else {
+        let Some(Utterance { text, facts, .. }) = all.find(|it| !known.includes(it.facts)) else {
             return Ok(());
         };
-        let mut names = self.fact_names(sentence.facts);
-        let is_unknown = |name: &&str| !told.contains(name) && !NEVER_TOLD.contains(name);
-        let fact = names.find(is_unknown).unwrap_or_default();
-        let text = &sentence.text;
+        let fact = facts.places().find(|place| !is_known(*place));
+        let fact = fact.map_or("", |place| self.facts[place].as_str());
         let told = if told.is_empty() { "nothing".to_owned() } else { told.join(", ") };
         Err(TaxonomyError(format!(
             "\"{text}\" presupposes `{fact}`, which the domain does not tell; it tells {told}"

@@ -7,10 +7,6 @@
 /// The most facts that the sentences of a database may name.
 pub const MAX_FACTS: usize = u64::BITS as usize;
 
-/// What words presuppose of the past, which no world remembers. A domain need not tell them; a sentence that presupposes
-/// one is then never said.
-pub const NEVER_TOLD: [&str; 2] = ["again", "instead"];
-
 /// Some of a database's facts, by their places in [`Taxonomy::facts`](crate::Taxonomy::facts).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FactSet(u64);

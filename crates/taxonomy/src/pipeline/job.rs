@@ -227,10 +227,9 @@ pub fn database(text: &str) -> Result<Taxonomy, TaxonomyError> {
                 .map_err(|defect| utterance.wrong(index, &defect))?;
         }
     }
-    if let Ok(plan) = &plan {
-        presuppose(&mut raw.utterance, plan);
-    }
-    Taxonomy::from_raw(raw)
+    let Ok(plan) = plan else { return Taxonomy::from_raw(raw) };
+    presuppose(&mut raw.utterance, &plan);
+    Ok(Taxonomy::from_raw(raw)?.planned(plan.facts()))
 }
 
 /// Lists what is wrong between the words of sentences and the facts that they presuppose: a reason that names no fact, and
@@ -297,6 +296,29 @@ mod tests {
         let says = "--topic stop: the plan of `highway` has no such topic; its topics: slow_down, speed_up, \
                     merge_left, merge_right";
         assert_eq!(error, says);
+    }
+
+    #[test]
+    fn a_fact_of_the_plan_that_its_world_does_not_tell_makes_no_other_sentence_useless() {
+        let added = |entry: &str| {
+            let shipped = crate::shipped::text("highway").unwrap();
+            database(&format!("{shipped}\n[[utterance]]\ntopic = \"slow_down\"\n{entry}\n"))
+                .unwrap()
+        };
+        let shipped = crate::shipped("highway").unwrap();
+        let told: Vec<&str> = shipped.facts().iter().map(String::as_str).collect();
+        let truck = added("text = \"Truck ahead, slow down.\"");
+        truck.expect_facts(&told).unwrap();
+        let findings = crate::check_facts(&truck, &told);
+        assert_eq!(findings.len(), 1);
+        assert!(
+            findings[0]
+                .to_string()
+                .contains("it is never said, because it presupposes `truck_near`")
+        );
+        let error = added("text = \"Moon up, slow down.\"\nfacts = [\"moon_up\", \"truck_near\"]");
+        let error = error.expect_facts(&told).unwrap_err().to_string();
+        assert!(error.contains("presupposes `moon_up`, which the domain does not tell"), "{error}");
     }
 
     #[test]

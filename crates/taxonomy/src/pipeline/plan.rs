@@ -203,12 +203,17 @@ impl DatabasePlan {
                 require(given == words, &key("rated"), given, &says)?;
             }
         }
-        let tables = self.topic.iter().map(|topic| &topic.presupposes);
-        let tables = [&self.presupposes].into_iter().chain(tables);
-        let names: BTreeSet<&String> = tables.flat_map(|it| it.values().flatten()).collect();
+        let names: BTreeSet<&str> = self.facts().collect();
         let (few, given) = (names.len() <= MAX_FACTS, format!("a table of {} facts", names.len()));
         require(few, "presupposes", given, &format!("at most {MAX_FACTS}, topics included"))?;
         self.settings.check()
+    }
+
+    /// Lists the names of the facts that its phrases presuppose, some of them several times.
+    pub(super) fn facts(&self) -> impl Iterator<Item = &str> {
+        let of_topics = self.topic.iter().map(|topic| &topic.presupposes);
+        let tables = [&self.presupposes].into_iter().chain(of_topics);
+        tables.flat_map(|table| table.values().flatten()).map(String::as_str)
     }
 
     /// Checks that each topic is found by its name.
