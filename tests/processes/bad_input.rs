@@ -478,6 +478,9 @@ fn a_pipe_that_is_given_for_a_file_is_refused_and_not_waited_for() {
     for command in ["conformance lander", "replay", "pilot eval --pilot"] {
         refused(&place, &[command, &pipe], &["pipe.toml is not a file"]);
     }
+    place.finish(&["certs init pki"]).with_code(0);
+    std::os::unix::fs::symlink("../pipe.toml", place.path().join("pki/acl.json5")).unwrap();
+    refused(&place, &["certs issue pki actor:a"], &["reading pki/acl.json5", "is not a file"]);
 }
 
 #[test]

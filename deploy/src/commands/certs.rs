@@ -1,7 +1,7 @@
 //! `leadtime certs`: an authority of one's own, and a certificate for every process.
 
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 
 use anyhow::Context as _;
 use jiff::{SignedDuration, Timestamp};
@@ -9,7 +9,7 @@ use leadtime_certs::{Authority, Certificate, IssueRequest, Issued, Listing, Role
 use leadtime_link::AccessList;
 use leadtime_proto::phrase::{counted, duration};
 use leadtime_proto::text::quoted;
-use leadtime_runs::clock;
+use leadtime_runs::{clock, regular};
 use serde_json::json;
 
 use crate::cli::{
@@ -88,7 +88,7 @@ impl OwnList {
     fn find(directory: &Path) -> anyhow::Result<Self> {
         let path = directory.join("acl.json5");
         let issued = issued(directory)?;
-        let is_ours = match fs::read_to_string(&path) {
+        let is_ours = match regular::read_to_string(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => true,
             text => {
                 let text = text.with_context(|| format!("reading {}", path.display()))?;
