@@ -203,20 +203,26 @@ fn environments_are_closed_when_a_run_is_over() {
 
 #[test]
 fn workers_that_never_close_are_waited_for_together_and_not_one_after_the_other() {
+    const N_WORKERS: usize = 8;
     let place = Place::new();
-    let file = config(&place, "n", "never-closes", &format!("{SPEC}\nbatch = 1"));
+    let asked = place.file("asked");
+    let mode = format!("never-closes {asked}");
+    let file = config(&place, "n", &mode, &format!("{SPEC}\nbatch = 1"));
     let (at, long) =
         (place.endpoint("n"), "--set learner.n_envs=8 --set learner.total_steps=2560000");
     let learner = place.start(&["learner --name n --listen", &at, "-c", &file, long]);
     wait_for_words(&learner, "run opened");
     let actor = place.start(&["actor --trust-worker --workers 8 --connect", &at]);
     wait_for_updates(&place.run("n"), 2);
-    assert_eq!(workers_of(actor.id()).len(), 8);
+    assert_eq!(workers_of(actor.id()).len(), N_WORKERS);
     signal("TERM", actor.id());
-    // It ends by itself, and says what it has done, before it would be ended by force.
-    let done = actor.finish(PATIENCE);
-    assert!(done.stdout.contains("run n: "), "{}{}", done.stdout, done.stderr);
+    actor.finish(PATIENCE);
     learner.kill();
+    // Each has two seconds from when it is asked: one after the other, the second would be asked when those of the first are over.
+    let asked = fs::read_to_string(asked).unwrap();
+    let mut asked: Vec<f64> = asked.lines().map(|at| at.parse().unwrap()).collect();
+    asked.sort_unstable_by(f64::total_cmp);
+    assert!(asked.len() == N_WORKERS && asked[N_WORKERS - 1] - asked[0] < 1.9, "{asked:?}");
 }
 
 #[test]

@@ -3,7 +3,7 @@
     python3 tests/worker/fake.py [MODE [FILE]]
 
 A mode misbehaves in the process that finds FILE missing and makes it; the worker that is started in its place is a good one. Without
-FILE every process misbehaves.
+FILE every process misbehaves. `never-closes` writes into FILE when each process was asked to end.
 """
 
 import json
@@ -100,6 +100,8 @@ def main():
                 time.sleep(0.2)
                 os.rename(FILE, FILE + ".closed")
             if MODE == "never-closes":
+                with open(FILE, "a") as asked:
+                    asked.write(f"{time.monotonic()}\n")
                 time.sleep(600)
             return
         length, kind = struct.unpack("<IB", header)
