@@ -341,12 +341,15 @@ mod tests {
         key: LiveKey<'_>,
         pick: fn(LiveEvent) -> Option<T>,
     ) -> T {
+        let moment = Duration::from_millis(100);
         for _ in 0..200 {
             let ask = from.get(key.to_string()).payload([7; 9]).attachment([8; 9]);
-            let answers = ask.timeout(Duration::from_millis(100)).await.unwrap();
+            let answers = ask.timeout(moment).await.unwrap();
             drop(answers.recv_async().await);
-            if let Some(picked) = events.try_iter().find_map(pick) {
-                return picked;
+            while let Ok(Ok(event)) = tokio::time::timeout(moment, events.recv_async()).await {
+                if let Some(picked) = pick(event) {
+                    return picked;
+                }
             }
         }
         panic!("its place is not known")
