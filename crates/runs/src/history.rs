@@ -11,7 +11,7 @@
 //! `elapsed` is the time since the first update, in seconds; `staleness` has the last hundred updates; `skipped` counts
 //! lines that cannot be read, such as a torn last one.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::fs::{File, Metadata};
 use std::io::{self, BufRead as _, BufReader, Seek as _, SeekFrom, Write as _};
 use std::os::unix::fs::MetadataExt as _;
@@ -22,9 +22,10 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use leadtime_config::Config;
 use leadtime_link::Archive;
-use leadtime_numerics::thin::ThinSeries;
+use leadtime_numerics::thin::{Extremes, ThinSeries};
 use leadtime_proto::Schedule;
 use leadtime_proto::limits::MAX_METRICS_BYTES;
+use serde::Serialize;
 use serde_json::{Map, Value, json};
 
 use crate::journal::JOURNAL;
@@ -85,9 +86,10 @@ pub(crate) fn archive(about: &Value, directory: &Path) -> Archive {
 fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8>> {
     let mut n_points = n_points;
     loop {
-        let text = read(directory, from, n_points)?.to_string();
+        // As text, not as values: there a number has the digits of one twice as precise.
+        let text = serde_json::to_vec(&told(directory, from, n_points)?)?;
         let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
-        encoder.write_all(text.as_bytes())?;
+        encoder.write_all(&text)?;
         let bytes = encoder.finish()?;
         if bytes.len() <= MAX_METRICS_BYTES || n_points <= 2 {
             return Ok(bytes);
@@ -102,12 +104,16 @@ fn compressed(directory: &Path, from: u64, n_points: usize) -> io::Result<Vec<u8
 ///
 /// If the file is there and cannot be read.
 pub fn read(directory: &Path, from: u64, n_points: usize) -> io::Result<Value> {
+    Ok(json!(told(directory, from, n_points)?))
+}
+
+fn told(directory: &Path, from: u64, n_points: usize) -> io::Result<ToldHistory> {
     let series = ThinSeries::new(n_points);
     let mut history = ThinHistory { series, ..ThinHistory::default() };
     if let Some(file) = regular::if_there(regular::open(&directory.join(JOURNAL)))? {
         history.read(BufReader::new(file), from)?;
     }
-    Ok(history.into_json(from))
+    Ok(history.told(from))
 }
 
 /// Reads what is appended to a run's metrics.
@@ -204,21 +210,36 @@ impl ThinHistory {
         self.last = line;
     }
 
-    fn into_json(self, from: u64) -> Value {
+    fn told(self, from: u64) -> ToldHistory {
         let Self { series, started, staleness, last, n_skipped } = self;
-        json!({
-            "schema": SCHEMA,
-            "from": from,
-            "to": series.last(),
-            "started": started,
-            "x": series.x,
-            "stride": series.stride(),
-            "scalars": series.scalars,
-            "staleness": staleness,
-            "last": last,
-            "skipped": n_skipped,
-        })
+        ToldHistory {
+            schema: SCHEMA,
+            from,
+            to: series.last(),
+            started,
+            stride: series.stride(),
+            x: series.x,
+            scalars: series.scalars,
+            staleness,
+            last,
+            skipped: n_skipped,
+        }
     }
+}
+
+/// A history as it is told.
+#[derive(Debug, Serialize)]
+struct ToldHistory {
+    schema: u32,
+    from: u64,
+    to: u64,
+    started: Option<f64>,
+    x: Vec<u64>,
+    stride: u64,
+    scalars: BTreeMap<String, Extremes>,
+    staleness: VecDeque<(u64, Value)>,
+    last: Map<String, Value>,
+    skipped: u64,
 }
 
 #[cfg(test)]
@@ -227,6 +248,7 @@ mod tests {
     use std::io::Read as _;
 
     use flate2::read::GzDecoder;
+    use serde::Deserialize as _;
 
     use super::*;
 
@@ -298,10 +320,8 @@ mod tests {
         let bytes = compressed(run.path(), 0, 100).unwrap();
         let mut text = String::new();
         GzDecoder::new(bytes.as_slice()).read_to_string(&mut text).unwrap();
-        assert_eq!(
-            serde_json::from_str::<Value>(&text).unwrap(),
-            // Through text, too: a number that is read back may differ in its last bit.
-            serde_json::from_str::<Value>(&read(run.path(), 0, 100).unwrap().to_string()).unwrap()
-        );
+        let told = serde_json::from_str::<ThinSeries>(&text).unwrap();
+        assert_eq!(told, ThinSeries::deserialize(&read(run.path(), 0, 100).unwrap()).unwrap());
+        assert!(text.contains("[1.0,0.5,0.33333,0.25,"), "no more digits than there are: {text}");
     }
 }
