@@ -23,8 +23,10 @@ use crate::scene::{SceneGrid, still};
 const STEP: Duration = Duration::from_millis(100);
 /// How long the end of an episode stays.
 const END: Duration = Duration::from_millis(1_600);
-/// Pause before it is tried again to play, or looked whether anybody looks.
+/// Pause before it is tried again to play, unless something is given before.
 const PAUSE: Duration = Duration::from_millis(500);
+/// The same before it is looked again whether anybody looks.
+const LOOK_PAUSE: Duration = Duration::from_millis(100);
 /// Policies that wait to be played; only the newest is.
 const QUEUED: usize = 64;
 
@@ -153,7 +155,7 @@ impl FlightLoop {
         if !self.watcher.is_watched() {
             // The next page gets it at once.
             self.obstacle.clear();
-            return self.take_inputs(Instant::now() + PAUSE);
+            return self.wait(LOOK_PAUSE);
         }
         match self.play() {
             Ok(Some((version, spoken))) => {
@@ -161,35 +163,43 @@ impl FlightLoop {
                 self.index += 1;
                 self.show(version, &spoken)
             }
-            Ok(None) => self.take_inputs(Instant::now() + PAUSE),
+            Ok(None) => self.wait(PAUSE),
             Err(obstacle) => {
                 self.tell_obstacle(obstacle);
-                self.take_inputs(Instant::now() + PAUSE)
+                self.wait(PAUSE)
             }
         }
     }
 
     /// Takes what is given until a moment.
     fn take_inputs(&mut self, until: Instant) -> Result<(), OwnerGone> {
-        loop {
-            match self.inputs.recv_deadline(until) {
-                Ok(FlightInput::Plan(plan)) => {
-                    self.player = None;
-                    match *plan {
-                        Ok(plan) => self.plan = Some(plan),
-                        Err(reason) => {
-                            self.plan = None;
-                            self.tell_obstacle(reason);
-                        }
+        while self.take_input(until)? {}
+        Ok(())
+    }
+
+    /// Waits for what may let it go on, at most so long.
+    fn wait(&mut self, pause: Duration) -> Result<(), OwnerGone> {
+        self.take_input(Instant::now() + pause).map(|_is_given| ())
+    }
+
+    /// Takes the next thing that is given until a moment. Returns whether there was one.
+    fn take_input(&mut self, until: Instant) -> Result<bool, OwnerGone> {
+        match self.inputs.recv_deadline(until) {
+            Ok(FlightInput::Plan(plan)) => {
+                self.player = None;
+                match *plan {
+                    Ok(plan) => self.plan = Some(plan),
+                    Err(reason) => {
+                        self.plan = None;
+                        self.tell_obstacle(reason);
                     }
                 }
-                Ok(FlightInput::Policy(version, weights)) => {
-                    self.weights = Some((version, weights));
-                }
-                Err(flume::RecvTimeoutError::Timeout) => return Ok(()),
-                Err(flume::RecvTimeoutError::Disconnected) => return Err(OwnerGone),
             }
+            Ok(FlightInput::Policy(version, weights)) => self.weights = Some((version, weights)),
+            Err(flume::RecvTimeoutError::Timeout) => return Ok(false),
+            Err(flume::RecvTimeoutError::Disconnected) => return Err(OwnerGone),
         }
+        Ok(true)
     }
 
     fn tell_obstacle(&mut self, obstacle: String) {

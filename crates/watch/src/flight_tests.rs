@@ -126,3 +126,18 @@ fn the_thread_ends_with_its_owner() {
     drop(flight);
     assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
 }
+
+#[test]
+fn what_is_missing_is_waited_for_until_it_is_given_and_no_longer() {
+    let (sender, inputs) = flume::bounded(QUEUED);
+    let mut flight = FlightLoop::new(inputs, Audience::new(usize::MAX));
+    let (plan, weights) = plan("lander");
+    sender.send(FlightInput::Plan(Box::new(Ok(plan)))).unwrap();
+    sender.send(FlightInput::Policy(1, weights)).unwrap();
+    // The end of the test is the end of the wait, were it one.
+    let long = Duration::from_mins(10);
+    assert!(flight.wait(long).is_ok() && flight.plan.is_some());
+    assert!(flight.wait(long).is_ok() && flight.weights.is_some());
+    drop(sender);
+    assert!(flight.wait(long).is_err());
+}

@@ -17,7 +17,7 @@ use tracing::debug;
 
 use crate::error::Error;
 use crate::flight::{FlightPlan, FlightThread};
-use crate::page::{EVENT_PAUSE, Page};
+use crate::page::{Page, TICK};
 use crate::state::MAX_POINTS;
 
 /// The largest history that is decompressed, in bytes.
@@ -26,6 +26,8 @@ const MAX_HISTORY: u64 = 32 << 20;
 const PAUSE: Duration = Duration::from_millis(500);
 /// The shortest time between two pulls of weights.
 const PULL_PAUSE: Duration = Duration::from_secs(10);
+/// The same after one that failed: a quick learner may have made newer versions meanwhile, and keep this one no longer.
+const RETRY_PAUSE: Duration = Duration::from_millis(200);
 /// Answers that wait to be taken in.
 const QUEUED: usize = 16;
 
@@ -97,20 +99,7 @@ impl Attachment {
         plan: Option<Arc<PlanMaker>>,
         stop: CancellationToken,
     ) -> Result<(), Error> {
-        let play = match plan {
-            Some(plan) => {
-                let watcher: Arc<Page> = Arc::clone(&page);
-                Some(Play {
-                    plan,
-                    flight: FlightThread::start(watcher)?,
-                    offered: None,
-                    pulled: None,
-                    pulled_at: None,
-                    is_pulling: false,
-                })
-            }
-            None => None,
-        };
+        let play = plan.map(|plan| Play::start(plan, Arc::clone(&page))).transpose()?;
         let (answers, answered) = mpsc::channel(QUEUED);
         let link = Arc::clone(&self.link);
         let follower = Follower {
@@ -186,6 +175,8 @@ fn take_in(page: &Page, event: ObserverEvent) -> bool {
 
 /// What comes back from a task.
 enum Answer {
+    /// What the run is: a playthrough needs no more, and the history takes longer.
+    Described(Value),
     /// What the run is, and how it went; or that it is to be asked again.
     Asked(Option<(Value, Value)>),
     /// A version of the weights, if it could be pulled.
@@ -200,11 +191,17 @@ struct Play {
     offered: Option<(DomainName, Announcement)>,
     /// The version that plays.
     pulled: Option<u64>,
-    pulled_at: Option<Instant>,
+    /// When weights may be pulled again.
+    next_pull: Option<Instant>,
     is_pulling: bool,
 }
 
 impl Play {
+    fn start(plan: Arc<PlanMaker>, page: Arc<Page>) -> Result<Self, Error> {
+        let flight = FlightThread::start(page)?;
+        Ok(Self { plan, flight, offered: None, pulled: None, next_pull: None, is_pulling: false })
+    }
+
     /// Takes in an announcement of the learner that is followed; others may be anybody's.
     fn offer(&mut self, learner: Option<&str>, domain: DomainName, announcement: Announcement) {
         if learner == Some(announcement.learner.hex().as_str()) {
@@ -212,12 +209,34 @@ impl Play {
         }
     }
 
-    /// Returns the newest version that the learner which is followed now offers, unless it plays.
-    fn wanted(&self, learner: Option<&str>) -> Option<(DomainName, PolicyVersion, [u8; 32])> {
+    /// Begins to pull the newest version of the learner that is followed now, if it is another one than what plays, and if it
+    /// is time.
+    fn begin_pull(
+        &mut self,
+        learner: Option<&str>,
+        now: Instant,
+    ) -> Option<(DomainName, PolicyVersion, [u8; 32])> {
+        let is_due = self.next_pull.is_none_or(|at| now >= at);
         let (domain, announcement) = self.offered.as_ref()?;
         let is_own = learner == Some(announcement.learner.hex().as_str());
         let &(version, sha256) = announcement.versions.last().filter(|_| is_own)?;
-        (self.pulled != Some(version.0)).then(|| (domain.clone(), version, sha256))
+        if self.is_pulling || !is_due || self.pulled == Some(version.0) {
+            return None;
+        }
+        (self.is_pulling, self.next_pull) = (true, Some(now + PULL_PAUSE));
+        Some((domain.clone(), version, sha256))
+    }
+
+    /// Takes in a version that was pulled, if it was.
+    fn end_pull(&mut self, pulled: Option<(u64, Vec<u8>)>, now: Instant) {
+        self.is_pulling = false;
+        match pulled {
+            Some((version, weights)) => {
+                self.pulled = Some(version);
+                self.flight.policy(version, weights);
+            }
+            None => self.next_pull = Some(now + RETRY_PAUSE),
+        }
     }
 }
 
@@ -269,7 +288,7 @@ impl Follower {
         mut answered: mpsc::Receiver<Answer>,
         stop: CancellationToken,
     ) {
-        let mut ticks = interval(EVENT_PAUSE);
+        let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
             tokio::select! {
@@ -309,11 +328,12 @@ impl Follower {
         }
         let (link, run, answers) = (Arc::clone(&self.link), self.run.clone(), self.answers.clone());
         tokio::spawn(async move {
-            let asked = async {
+            let about = async {
                 let (_, about) = ask_about(&link, &run).await?;
-                Ok::<_, Error>((about, ask_history(&link, &run).await?))
+                drop(answers.send(Answer::Described(about.clone())).await);
+                Ok(about)
             };
-            let asked = asked.await;
+            let asked = tokio::try_join!(about, ask_history(&link, &run));
             if let Err(error) = &asked {
                 debug!(%error, "the learner has not answered");
                 sleep(PAUSE).await;
@@ -329,11 +349,16 @@ impl Follower {
                 let Some((about, history)) = asked.filter(|_| is_answered) else {
                     return self.ask();
                 };
-                let config = about["config"].as_str().map(str::to_owned);
                 self.page.with(|view, now| {
                     view.about(about, now);
                     view.history(&history, now);
                 });
+            }
+            Answer::Described(about) => {
+                if !self.question.is_known {
+                    return;
+                }
+                let config = about["config"].as_str().map(str::to_owned);
                 if let Some(play) = &mut self.play {
                     // A plan that is new plays nothing yet, and a learner that is new makes versions again.
                     play.pulled = None;
@@ -343,11 +368,8 @@ impl Follower {
                 self.pull();
             }
             Answer::Pulled(pulled) => {
-                let Some(play) = &mut self.play else { return };
-                play.is_pulling = false;
-                if let Some((version, weights)) = pulled {
-                    play.pulled = Some(version);
-                    play.flight.policy(version, weights);
+                if let Some(play) = &mut self.play {
+                    play.end_pull(pulled, Instant::now());
                 }
             }
         }
@@ -357,13 +379,8 @@ impl Follower {
     fn pull(&mut self) {
         let is_watched = self.page.n_watching() > 0;
         let Some(play) = self.play.as_mut().filter(|_| is_watched) else { return };
-        let is_due = play.pulled_at.is_none_or(|at| at.elapsed() >= PULL_PAUSE);
-        if play.is_pulling || !is_due {
-            return;
-        }
-        let wanted = self.page.with(|view, _| play.wanted(view.learner()));
-        let Some((domain, version, sha256)) = wanted else { return };
-        (play.is_pulling, play.pulled_at) = (true, Some(Instant::now()));
+        let begun = self.page.with(|view, _| play.begin_pull(view.learner(), Instant::now()));
+        let Some((domain, version, sha256)) = begun else { return };
         let (link, run) = (Arc::clone(&self.link), self.run.clone());
         let answers = self.answers.clone();
         tokio::spawn(async move {
@@ -379,7 +396,45 @@ impl Follower {
 
 #[cfg(test)]
 mod tests {
+    use leadtime_link::{Archive, LearnerLink, ListenSettings, StartKey};
+
     use super::*;
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn what_is_played_is_known_before_a_long_history_is_read() {
+        let place = tempfile::tempdir().unwrap();
+        let endpoint = format!("unixsock-stream/{}", place.path().join("l").display());
+        let endpoint: leadtime_link::Endpoint = endpoint.parse().unwrap();
+        let run = RunName::new("r").unwrap();
+        let settings = ListenSettings::new(vec![endpoint.clone()]);
+        let start = StartKey::numbered(1);
+        let opened = LearnerLink::open(&run, "lander", &start, &settings).await;
+        let (mut learner, _events) = opened.unwrap();
+        let (read, reading) = flume::bounded::<()>(1);
+        let history = move |_: u64, _: usize| -> Result<Vec<u8>, String> {
+            drop(reading.recv());
+            Err("it was read in vain".to_owned())
+        };
+        let about = br#"{"config": "of this run"}"#.to_vec();
+        learner.answer_observers(Archive { about, history: Arc::new(history) }).unwrap();
+
+        let settings = ConnectSettings::new(vec![endpoint]);
+        let attachment = Attachment::open(&settings, Some(run)).await.unwrap();
+        let (planned, plans) = flume::unbounded();
+        let plan = move |config: &str| {
+            drop(planned.send(config.to_owned()));
+            Err("nothing is played".to_owned())
+        };
+        let (page, stop) = (Page::new("r", || 0.0), CancellationToken::new());
+        let following = attachment.follow(page, Some(Arc::new(plan)), stop.clone());
+        let following = tokio::spawn(following);
+        let planned = tokio::time::timeout(Duration::from_secs(20), plans.recv_async()).await;
+        assert_eq!(planned.expect("the history is still being read").unwrap(), "of this run");
+        drop(read);
+        stop.cancel();
+        following.await.unwrap().unwrap();
+        learner.close().await.unwrap();
+    }
 
     #[test]
     fn a_learner_that_comes_while_another_is_asked_is_asked_as_well() {
@@ -392,17 +447,41 @@ mod tests {
         assert!(question.begin() && question.end(true) && !question.begin());
     }
 
+    fn play() -> Play {
+        let watcher: Arc<Page> = Page::new("r", || 0.0);
+        let plan: Arc<PlanMaker> = Arc::new(|_| Err("nothing is played".to_owned()));
+        Play::start(plan, watcher).unwrap()
+    }
+
+    #[test]
+    fn a_pull_that_failed_is_tried_again_soon() {
+        let (mut play, start) = (play(), Instant::now());
+        let (learner, domain) = (Incarnation(1), DomainName::new("lander").unwrap());
+        let mut offer = |play: &mut Play, version| {
+            let versions = vec![(PolicyVersion(version), [0; 32])];
+            let news = Announcement { learner, versions };
+            play.offer(Some(&learner.hex()), domain.clone(), news);
+        };
+        offer(&mut play, 1);
+        let own = Some(learner.hex());
+        let version = |pull: Option<(_, PolicyVersion, _)>| pull.map(|(_, version, _)| version.0);
+        assert_eq!(version(play.begin_pull(own.as_deref(), start)), Some(1));
+        offer(&mut play, 9);
+        assert_eq!(version(play.begin_pull(own.as_deref(), start)), None, "one at a time");
+        // The learner has it no longer.
+        play.end_pull(None, start);
+        assert_eq!(version(play.begin_pull(own.as_deref(), start)), None);
+        let again = start + RETRY_PAUSE;
+        assert_eq!(version(play.begin_pull(own.as_deref(), again)), Some(9));
+        play.end_pull(Some((9, Vec::new())), again);
+        offer(&mut play, 10);
+        assert_eq!(version(play.begin_pull(own.as_deref(), again + RETRY_PAUSE)), None, "it plays");
+        assert_eq!(version(play.begin_pull(own.as_deref(), again + PULL_PAUSE)), Some(10));
+    }
+
     #[test]
     fn only_the_learner_that_is_followed_offers_what_is_played() {
-        let watcher: Arc<Page> = Page::new("r", || 0.0);
-        let mut play = Play {
-            plan: Arc::new(|_| Err("nothing is played".to_owned())),
-            flight: FlightThread::start(watcher).unwrap(),
-            offered: None,
-            pulled: None,
-            pulled_at: None,
-            is_pulling: false,
-        };
+        let mut play = play();
         let (own, stranger) = (Incarnation(1), Incarnation(2));
         let mut offer = |learner, version| {
             let versions = vec![(PolicyVersion(version), [0; 32])];
@@ -413,7 +492,9 @@ mod tests {
         assert_eq!(offer(stranger, 99), None);
         assert_eq!(offer(own, 3), Some(PolicyVersion(3)));
         assert_eq!(offer(stranger, 99), Some(PolicyVersion(3)));
-        let wanted = |learner: Incarnation| play.wanted(Some(&learner.hex())).map(|it| it.1);
-        assert_eq!((wanted(own), wanted(stranger)), (Some(PolicyVersion(3)), None));
+        let mut begun = |learner: Incarnation| {
+            play.begin_pull(Some(&learner.hex()), Instant::now()).map(|it| it.1)
+        };
+        assert_eq!((begun(stranger), begun(own)), (None, Some(PolicyVersion(3))));
     }
 }
