@@ -32,7 +32,7 @@ mod text;
 pub use error::Error;
 pub use flight::{FlightPlan, FlightThread, FlightWatcher, MakeTask};
 pub use follow::{Attachment, PlanMaker};
-pub use page::{Clock, EVENT_PAUSE, Page};
+pub use page::{Clock, Page, TICK};
 pub use routes::{open_paths, routes};
 pub use state::{MAX_POINTS, RunView};
 pub use text::screen;

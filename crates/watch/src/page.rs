@@ -11,9 +11,11 @@ use crate::events::{EventBytes, EventHub, EventKind, NoPlace, Wanted, event};
 use crate::flight::FlightWatcher;
 use crate::state::{Changes, RunView, WatchLine};
 
-/// The shortest time between two events of a kind that pages receive.
-pub const EVENT_PAUSE: Duration = Duration::from_millis(200);
-/// The same for the table of actors and the head line, which say nothing new more often, and for the curves as a whole.
+/// How often it is looked whether something is due.
+pub const TICK: Duration = Duration::from_millis(50);
+/// The mean time between two updates that pages receive, at least.
+const UPDATE_PAUSE: Duration = Duration::from_millis(200);
+/// The shortest time for the table of actors and the head line, which say nothing new more often, and for the curves as a whole.
 const TABLE_PAUSE: Duration = Duration::from_secs(1);
 
 /// Reads the time, in seconds since the Unix epoch.
@@ -35,6 +37,7 @@ struct SharedView {
     /// What has changed and was not sent yet.
     due: Changes,
     history_told_at: Option<Instant>,
+    /// When the last update was told, or should have been: one that came late does not delay the next.
     updates_told_at: Option<Instant>,
     tables_told_at: Option<Instant>,
     n_log_told: u64,
@@ -56,14 +59,16 @@ impl SharedView {
             self.history_told_at = Some(now);
             let Self { view, hub, .. } = self;
             hub.send(EventKind::About, None, &about_json(view, epoch).to_string(), now);
-            hub.send(EventKind::History, None, &view.history_json(0).to_string(), now);
+            hub.send(EventKind::History, None, &view.history_text(0), now);
         }
     }
 
     /// Sends the newest update, if there is one.
     fn tell_update(&mut self, epoch: u64, time: f64, now: Instant) {
         if std::mem::take(&mut self.due.update) {
-            self.updates_told_at = Some(now);
+            let latest = now.checked_sub(UPDATE_PAUSE).unwrap_or(now);
+            let planned = self.updates_told_at.map_or(latest, |at| at + UPDATE_PAUSE);
+            self.updates_told_at = Some(planned.clamp(latest, now));
             let Self { view, hub, .. } = self;
             let id = event_id(view.newest(), view, epoch);
             hub.send(EventKind::Update, Some(&id), &view.update_json(time).to_string(), now);
@@ -105,7 +110,7 @@ impl Page {
         work(&mut self.shared().view, now)
     }
 
-    /// Sends pages what has changed, as often as they may get it. Call it at every [`EVENT_PAUSE`], and after changes
+    /// Sends pages what has changed, as often as they may get it. Call it at every [`TICK`], and after changes
     /// that are wanted at once.
     pub fn flush(&self, now: Instant) {
         let time = (self.clock)();
@@ -120,7 +125,7 @@ impl Page {
             shared.tell_history(self.epoch, now);
         }
         // An update that follows a resume goes on from curves that a page must have.
-        if !shared.due.history && is_due(shared.updates_told_at, EVENT_PAUSE) {
+        if !shared.due.history && is_due(shared.updates_told_at, UPDATE_PAUSE) {
             shared.tell_update(self.epoch, time, now);
         }
         if is_due(shared.tables_told_at, TABLE_PAUSE) {
@@ -157,17 +162,17 @@ impl Page {
         let id = event_id(view.newest(), view, self.epoch);
         let log: Vec<Value> = view.log_after(0).map(WatchLine::json).collect();
         let mut first = Vec::new();
-        let mut tell = |kind: EventKind, id: Option<&str>, data: &dyn Fn() -> Value| {
+        let mut tell = |kind: EventKind, id: Option<&str>, data: &dyn Fn() -> String| {
             if wanted.has(kind) {
-                first.push(event(kind, id, &data().to_string()));
+                first.push(event(kind, id, &data()));
             }
         };
-        tell(EventKind::About, None, &|| about_json(view, self.epoch));
-        tell(EventKind::State, None, &|| view.state_json(time));
-        tell(EventKind::History, None, &|| view.history_json(from));
-        tell(EventKind::Update, Some(&id), &|| view.update_json(time));
-        tell(EventKind::Actors, None, &|| view.actors_json(time));
-        tell(EventKind::Log, None, &|| log.clone().into());
+        tell(EventKind::About, None, &|| about_json(view, self.epoch).to_string());
+        tell(EventKind::State, None, &|| view.state_json(time).to_string());
+        tell(EventKind::History, None, &|| view.history_text(from));
+        tell(EventKind::Update, Some(&id), &|| view.update_json(time).to_string());
+        tell(EventKind::Actors, None, &|| view.actors_json(time).to_string());
+        tell(EventKind::Log, None, &|| Value::from(log.clone()).to_string());
         if wanted.has(EventKind::Flight) {
             first.extend(flight.clone());
         }

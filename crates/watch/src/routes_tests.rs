@@ -119,6 +119,24 @@ async fn watchers_are_told_apart() {
 }
 
 #[tokio::test]
+async fn an_update_that_came_late_does_not_delay_the_next() {
+    let (page, start) = (Page::new("r", || 1_000.0), Instant::now() + Duration::from_secs(9));
+    let events = page.join(Wanted::parse(Some("update")).unwrap(), None, start).unwrap();
+    let n_told = |update: u64, at: u64| {
+        let line = json!({"update": update});
+        page.with(|view, now| view.update(line.as_object().unwrap().clone(), now));
+        page.flush(start + Duration::from_millis(at));
+        events.drain().count()
+    };
+    assert_eq!(n_told(1, 1_000), 2, "one with the page");
+    // Its learner tells five a second; the way to the page takes longer now and then.
+    assert_eq!([(2, 1_290), (3, 1_400), (4, 1_600)].map(|(update, at)| n_told(update, at)), [1; 3]);
+    // One that tells more often is not told more often.
+    let n: usize = (10..110).map(|tick| n_told(tick, 1_600 + 10 * tick)).sum();
+    assert!(n <= 6, "{n}");
+}
+
+#[tokio::test]
 async fn curves_as_a_whole_are_told_once_a_second_at_most() {
     let (page, start) = (Page::new("r", || 1_000.0), Instant::now());
     let events = page.join(Wanted::parse(Some("history,update")).unwrap(), None, start).unwrap();

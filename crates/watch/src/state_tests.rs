@@ -153,6 +153,19 @@ fn a_late_subscriber_sees_the_whole_history_and_no_update_twice() {
 }
 
 #[test]
+fn curves_as_text_are_the_same_with_no_more_digits_than_they_have() {
+    let mut view = at_update(0);
+    let mut told = line(1);
+    told["train/entropy"] = json!(0.123_456_789);
+    view.learner_says("01", told, 1001.0);
+    let text = view.history_text(0);
+    assert!(text.contains(r#""train/entropy":{"min":[0.12346],"max":[0.12346]}"#), "{text}");
+    let (text, value): (Value, _) = (serde_json::from_str(&text).unwrap(), view.history_json(0));
+    let [text, value] = [text, value].map(|told| told_series(&told).unwrap());
+    assert_eq!(text, value);
+}
+
+#[test]
 fn updates_that_were_rolled_back_are_gone_after_a_resume() {
     let mut view = at_update(30);
     view.learner_left("01", 1031.0);

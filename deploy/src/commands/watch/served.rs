@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use leadtime_watch::{EVENT_PAUSE, Page, open_paths, routes};
+use leadtime_watch::{Page, TICK, open_paths, routes};
 use leadtime_web::{AccessToken, Guard, HttpServer, parse_address};
 use serde_json::json;
 use tokio::task::JoinHandle;
@@ -100,7 +100,7 @@ impl PageServer {
 
 /// Tells pages what is due until the token is cancelled, and then says goodbye.
 async fn tell(page: &Page, stop: &CancellationToken) {
-    let mut ticks = interval(EVENT_PAUSE);
+    let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     while stop.run_until_cancelled(ticks.tick()).await.is_some() {
         page.flush(Instant::now());
