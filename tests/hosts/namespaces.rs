@@ -5,6 +5,8 @@ use std::process::{Child, Command, Stdio};
 
 /// The first three parts of every address.
 const NETWORK: &str = "10.77.0";
+/// The address of a network card that does not exist.
+const NOBODY: &str = "02:00:00:00:00:99";
 
 /// Hosts with a cable each to one switch. Everything is removed when it is dropped.
 pub(crate) struct Hosts {
@@ -59,6 +61,12 @@ impl Hosts {
         outer.args(["netns", "exec", &namespace(host)]).arg(inner.get_program());
         outer.args(inner.get_args()).stdin(Stdio::null()).env_remove("RUST_LOG");
         outer.current_dir(inner.get_current_dir().unwrap_or(Path::new(".")));
+        for (name, value) in inner.get_envs() {
+            match value {
+                Some(value) => outer.env(name, value),
+                None => outer.env_remove(name),
+            };
+        }
         outer
     }
 
@@ -92,6 +100,30 @@ impl Hosts {
     /// Puts it back.
     pub(crate) fn mend(name: &str) {
         ip(&["-n", &namespace("switch"), "link", "set", name, "up"]).expect("a cable of ours");
+    }
+
+    /// Loses what one host sends to another, without a word to either, and in this direction only: it goes to a card that nobody has.
+    pub(crate) fn lose(&self, from: &str, to: &str) {
+        self.neighbour(from, "replace", to, &["lladdr", NOBODY, "nud", "permanent"]);
+    }
+
+    /// Delivers it again.
+    pub(crate) fn deliver(&self, from: &str, to: &str) {
+        self.neighbour(from, "del", to, &[]);
+    }
+
+    fn neighbour(&self, host: &str, verb: &str, other: &str, more: &[&str]) {
+        let (namespace, address) = (namespace(host), self.address(other));
+        let entry = ["-n", &namespace, "neigh", verb, &address, "dev", "eth0"];
+        ip(&[&entry[..], more].concat()).expect("a neighbour of ours");
+    }
+
+    /// Lists the processes of a host.
+    pub(crate) fn processes(name: &str) -> Vec<u32> {
+        let listed = Command::new("ip").args(["netns", "pids", &namespace(name)]).output();
+        let listed = listed.expect("ip runs").stdout;
+        let ids = String::from_utf8_lossy(&listed);
+        ids.lines().map(|id| id.trim().parse().expect("a process id")).collect()
     }
 }
 
