@@ -456,9 +456,22 @@ fn a_film_is_what_ffmpeg_makes_of_the_moving_picture() {
     assert!(drawn.starts_with("a.mp4: "), "{drawn}");
     draw(&path, "a.gif").with_code(0);
     let given = fs::read(place.file("a.mp4")).unwrap();
+    let n_steps = drawn.trim_end().rsplit_once(", ").and_then(|(_, n)| n.strip_suffix(" steps"));
+    let n_steps: usize = n_steps.and_then(|n| n.parse().ok()).expect("it says how many steps");
+    let moments = gif::DecodeOptions::new().read_info(given.as_slice()).unwrap();
+    let (width, height) = (moments.width(), moments.height());
+    assert!(width == 600 && height >= 200, "{width} x {height}");
+    // At most 150.
+    let n_moments = n_steps.div_ceil(n_steps.div_ceil(149)) + 1;
+    assert_eq!(moments.into_iter().map(Result::unwrap).count(), n_moments, "{drawn}");
     assert!(given == fs::read(place.file("a.gif")).unwrap(), "it is given the whole GIF");
     let told = fs::read_to_string(place.file("told")).unwrap();
-    for part in ["-f gif -i pipe:0 ", "-pix_fmt yuv420p ", "-f mp4 a.mp4 "] {
+    for part in [
+        "-f gif -i pipe:0 ",
+        "-vf scale=trunc(iw/2)*2:trunc(ih/2)*2 ",
+        "-pix_fmt yuv420p ",
+        "-f mp4 a.mp4 ",
+    ] {
         assert!(told.contains(part), "{told}");
     }
     pretend("#!/bin/sh\necho no such codec >&2\nexit 1\n");
