@@ -12,8 +12,10 @@ has started, and files in a temporary directory. PROGRAM names the program where
 """
 
 import argparse
+import contextlib
 import json
 import os
+import random
 import re
 import socket
 import subprocess
@@ -133,6 +135,48 @@ def other_run(network, end):
     time.sleep(max(0, end - time.monotonic()))
 
 
+def frames(network, end):
+    """Connections on which bits are flipped on the way to the other side: in what the network library itself reads."""
+    draws = random.Random(SEED)
+    host, port = network.endpoint.removeprefix("tcp/").split(":")
+    server = socket.create_server(("127.0.0.1", 0))
+    network.held.append(server)
+
+    def carry(source, sink, is_changed):
+        with contextlib.suppress(OSError):
+            while data := bytearray(source.recv(1 << 16)):
+                if is_changed and draws.random() < 0.2:
+                    for _ in range(draws.randrange(1, 4)):
+                        data[draws.randrange(len(data))] ^= 1 << draws.randrange(8)
+                sink.sendall(data)
+        for side in (source, sink):
+            with contextlib.suppress(OSError):
+                side.shutdown(socket.SHUT_RDWR)
+
+    def accept():
+        with contextlib.suppress(OSError):
+            while True:
+                near = server.accept()[0]
+                far = socket.create_connection((host, int(port)))
+                for way in ((near, far, True), (far, near, False)):
+                    threading.Thread(target=carry, args=way, daemon=True).start()
+
+    def work():
+        own = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        settings = {"mode": "client", "connect": {"endpoints": [own], "timeout_ms": 1000}, "scouting": {"multicast": {"enabled": False}}}
+        while time.monotonic() < end:
+            with contextlib.suppress(zenoh.ZError):
+                with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))) as session:
+                    session.liveliness().declare_token(f"{network.root}/alive/actor/frames/{draws.getrandbits(64):016x}")
+                    session.declare_subscriber(f"{network.root}/credit/*", lambda _: None)
+                    for _ in range(50):
+                        session.put(f"{network.root}/traj/cartpole/frames", b"rubbish" * 20, attachment=bytes(48))
+                        session.get(f"{network.root}/weights/cartpole/latest", lambda _: None, timeout=1)
+    for task in (accept, work, work, work, work):
+        threading.Thread(target=task, daemon=True).start()
+    time.sleep(max(0, end - time.monotonic()))
+
+
 def mutate(network, end):
     """Genuine messages of all kinds, changed; see mutations.py."""
     network.mutations = Mutations(network, SEED)
@@ -158,6 +202,7 @@ ATTACKS = {
     "silent": silent,
     "fat": fat,
     "other-run": other_run,
+    "frames": frames,
     "mutate": mutate,
 }
 

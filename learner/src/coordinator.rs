@@ -709,13 +709,15 @@ impl Coordinator {
         let required = spec.schedule.behavior_version(rollout.iteration);
         let expected = required.unwrap_or(newest);
         let wrong = found > newest || (required.is_some() && found != expected);
-        if wrong || header.version != found {
-            let text = format!(
-                "it was collected with policy version {found}, version {expected} is required"
-            );
-            return Err(Refusal::new(RefusalCause::Version, text));
-        }
-        Ok(rollout)
+        let text = if wrong {
+            format!("it was collected with policy version {found}, version {expected} is required")
+        } else if header.version != found {
+            let said = header.version;
+            format!("its header says policy version {said}, the rollout itself {found}")
+        } else {
+            return Ok(rollout);
+        };
+        Err(Refusal::new(RefusalCause::Version, text))
     }
 
     fn supersede(&mut self) {

@@ -9,6 +9,7 @@
 //! | `help` | help fits a terminal, and its examples are read; so do lists of runs; the next command is said and works |
 //! | `live` | a notifier at work: who is let in, what is said, and that nothing stale ever is |
 //! | `long_run` | a run stops where it is told, goes on with other settings, and hands its metrics on |
+//! | `mutated` | changed copies of genuine messages harm nobody |
 //! | `operations` | status pages, logs, signals, the service manager, a full disk, old runs |
 //! | `probe` | what a notifier knows is measured the same way twice, or a sentence says why not |
 //! | `python` | whatever happens to a worker in Python, the weights are the same, and nobody executes what others wrote |
@@ -34,6 +35,7 @@ mod ending;
 mod help;
 mod live;
 mod long_run;
+mod mutated;
 mod notifier;
 mod operations;
 mod probe;

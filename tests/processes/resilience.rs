@@ -20,7 +20,7 @@ use serde_json::Value;
 const RUN: &str = "learner --name r -c cartpole --seed 3 --set learner.n_steps=64 --set learner.total_steps=10240 \
                    --set learner.anneal=false --set run.checkpoint_every=4 --listen";
 /// Makes a run so long that it ends by a signal only.
-const LONG: &str = "--set learner.total_steps=1000000000";
+pub(crate) const LONG: &str = "--set learner.total_steps=1000000000";
 
 fn learner(place: &Place, extra: &str) -> Running {
     place.start(&[RUN, &place.endpoint("learner"), extra])
@@ -32,14 +32,14 @@ fn actor(place: &Place, id: &str) -> Running {
 }
 
 /// Starts a router, at the address of the one before if that was killed.
-fn router(place: &Place) -> Running {
+pub(crate) fn router(place: &Place) -> Running {
     let router = place.start(&["router --listen", &place.endpoint("router")]);
     wait_for_words(&router, "router listens");
     router
 }
 
 /// Starts a learner that listens nowhere.
-fn learner_below(router: &str, place: &Place, extra: &str) -> Running {
+pub(crate) fn learner_below(router: &str, place: &Place, extra: &str) -> Running {
     place.start(&[&RUN.replace("--listen", "--connect"), router, extra])
 }
 
@@ -170,7 +170,7 @@ fn a_router_killed_and_restarted_finds_learner_and_actors_again_and_changes_noth
 
 /// Ends a run that does not end by itself, and asserts that it has the weights of an undisturbed one of as many updates.
 #[track_caller]
-fn end_as_undisturbed(learner: Running) {
+pub(crate) fn end_as_undisturbed(learner: Running) {
     signal("TERM", learner.id());
     let disturbed = learner.finish(PATIENCE).with_code(130);
     assert!(disturbed.stdout.contains("all accounted for"), "{}", disturbed.stdout);
