@@ -81,12 +81,12 @@ struct Curves {
     stride: u64,
     x: Vec<u64>,
     scalars: BTreeMap<String, Extremes>,
-    marks: Vec<Mark>,
+    marks: Vec<CurveMark>,
 }
 
 /// Where a learner went on.
 #[derive(Debug, Serialize)]
-struct Mark {
+struct CurveMark {
     update: u64,
     what: &'static str,
 }
@@ -637,7 +637,7 @@ impl RunView {
 
     fn curves(&self, from: u64) -> Curves {
         let series = self.series.since(from);
-        let mark = |&(update, what): &(u64, &'static str)| Mark { update, what };
+        let mark = |&(update, what): &(u64, &'static str)| CurveMark { update, what };
         Curves {
             from,
             to: series.last(),
