@@ -72,7 +72,9 @@ pub(crate) fn template(
     match source {
         LeadtimeSource::Checkout { path, manifest: theirs } => {
             manifest = manifest.replace("{place}\n", "");
-            for folder in ["deploy", "crates/numerics", "sims", "vendor/zenoh-link-tls"] {
+            let folders =
+                ["deploy", "crates/numerics", "sims", "vendor/zenoh", "vendor/zenoh-link-tls"];
+            for folder in folders {
                 let place = format!("path = {:?}", format!("{path}/{folder}"));
                 manifest = manifest.replacen("{source}", &place, 1);
             }
@@ -124,6 +126,7 @@ mod tests {
             r#"leadtime = { path = "/src/lead \"time\"/deploy" }"#,
             r#"leadtime-numerics = { path = "/src/lead \"time\"/crates/numerics" }"#,
             r#"leadtime-sims = { path = "/src/lead \"time\"/sims" }"#,
+            r#"zenoh = { path = "/src/lead \"time\"/vendor/zenoh" }"#,
             r#"zenoh-link-tls = { path = "/src/lead \"time\"/vendor/zenoh-link-tls" }"#,
             "\n[workspace]\n",
             "\n[profile.dev]\nopt-level = 1\n",

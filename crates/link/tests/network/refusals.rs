@@ -7,6 +7,7 @@ use leadtime_proto::limits::{MAX_ROLLOUT_BYTES, REFUSALS_BEFORE_CUT_OFF};
 use leadtime_proto::message::Credit;
 use leadtime_proto::receive::{self, ROLLOUT};
 use leadtime_proto::{ActorId, Header, PolicyVersion, Refusal, RefusalCause, Rollout, Sequence};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
@@ -216,4 +217,48 @@ async fn a_malformed_hello_or_one_of_another_release_is_answered_and_counted() {
         assert_eq!(refusal.to_string(), told);
     }
     assert!(learner.take_uncounted().is_empty(), "each was an event");
+}
+
+/// Carries one connection on, and changes a byte of each `DAMAGE` on its way there; returns when that side has ended it.
+async fn damage(from: tokio::net::UnixListener, to: String) {
+    let (near, _) = from.accept().await.unwrap();
+    let far = tokio::net::UnixStream::connect(to).await.unwrap();
+    let ((mut asked, mut answer), (mut answered, mut ask)) = (near.into_split(), far.into_split());
+    let there = async {
+        let mut bytes = vec![0; 1 << 16];
+        while let Ok(n @ 1..) = asked.read(&mut bytes).await {
+            let found: Vec<usize> = bytes[..n]
+                .windows(6)
+                .enumerate()
+                .filter(|(_, it)| it == b"DAMAGE")
+                .map(|(at, _)| at)
+                .collect();
+            found.into_iter().for_each(|at| bytes[at + 3] = b'?');
+            if ask.write_all(&bytes[..n]).await.is_err() {
+                break;
+            }
+        }
+    };
+    tokio::select! {
+        () = there => panic!("the stranger gave up first"),
+        _ = tokio::io::copy(&mut answered, &mut answer) => {}
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_key_that_is_none_ends_the_connection_on_which_it_comes_and_nothing_else() {
+    let (site, elsewhere) = (Site::new(), Site::new());
+    let (_learner, events) = site.learner().await;
+    let path = |site: &Site| site.endpoint.as_str().split_once('/').unwrap().1.to_owned();
+    let relay = tokio::net::UnixListener::bind(path(&elsewhere)).unwrap();
+    let relay = tokio::spawn(damage(relay, path(&site)));
+    let stranger = elsewhere.raw("client").await;
+    stranger.declare_keyexpr("leadtime/1/one/DAMAGE").await.unwrap();
+    let _keys = stranger.declare_subscriber("leadtime/1/one/credit/DAMAGE").await.unwrap();
+    tokio::time::timeout(SOON, relay).await.expect("it is ended").unwrap();
+    // Whoever declares or sends something has it looked for among all keys that are known.
+    let (actor, _events) = site.welcomed("a", &events).await;
+    let (header, payload) = rollout("a", 1);
+    actor.publish_rollout(&header, payload).unwrap();
+    assert_eq!(next_rollout(&events).await.1, header);
 }
