@@ -31,6 +31,9 @@ pub(crate) const LEARNER_WAIT_BEFORE_CLOSE_US: u64 = 5_000_000;
 const QUICK_BATCHES: usize = 16;
 /// The priorities of messages that are sent at once and dropped rather than waited for: speech, announcements, credit.
 const QUICK: [&str; 3] = ["real_time", "interactive_high", "interactive_low"];
+/// The same for rollouts of a process that dials. While one waits for room the library ends no connection, not even one that is cut,
+/// for as long as [`ACTOR_WAIT_BEFORE_CLOSE_US`]. So there is room for what an actor has under way.
+const BULK: (&str, usize) = ("transport/link/tx/queue/size/data", QUICK_BATCHES);
 /// The largest message that a learner or a router takes: twice the largest rollout, so that what is a little too large is refused and
 /// counted by us.
 const MAX_BYTES: usize = 2 * limits::MAX_ROLLOUT_BYTES;
@@ -277,6 +280,7 @@ fn client(settings: &ConnectSettings, round: Duration, wait_us: u64) -> Result<C
         ("connect/exit_on_failure", "true".to_owned()),
         max_message(limits::MAX_MESSAGE_BYTES),
         wait_before_close(wait_us),
+        (BULK.0, BULK.1.to_string()),
     ];
     if let Some(identity) = identity {
         special.extend(security::settings(identity, security::has_socket(endpoints.iter()))?);
@@ -452,6 +456,14 @@ mod tests {
         }
         // Credit for many actors behind one router cannot take an announcement's place.
         assert_ne!(wire::NOTICE.priority, wire::CREDIT.priority);
+    }
+
+    #[test]
+    fn rollouts_of_a_process_that_dials_have_room_while_its_connection_is_cut() {
+        let settings = ConnectSettings::new(vec!["tcp/127.0.0.1:7447".parse().unwrap()]);
+        let config = client(&settings, ROUND, ACTOR_WAIT_BEFORE_CLOSE_US).unwrap();
+        assert_eq!(wire::BULK.priority, Priority::Data);
+        assert_eq!(config.get_json(BULK.0).unwrap(), BULK.1.to_string());
     }
 
     #[test]
