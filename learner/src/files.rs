@@ -3,6 +3,8 @@
 use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
 
 /// How the name of a file ends that is being written.
 const PARTIAL: &str = ".partial";
@@ -100,6 +102,12 @@ pub fn replaced_name(name: &str) -> Option<&str> {
     Some(id.map_or(name, |(name, _)| name))
 }
 
+/// How often a lock is looked for again. A program that another thread is just starting holds copies of all open files until it
+/// begins, so a lock that was let go may live on for a moment.
+const N_LOCK_LOOKS: u32 = 10;
+/// The pause before that.
+const LOCK_PAUSE: Duration = Duration::from_millis(5);
+
 /// Locks a file against other processes until it is dropped, and makes it if it is not there. What is in it stays, and a link
 /// is not followed: it would lead to what is somebody else's.
 ///
@@ -124,6 +132,12 @@ pub fn lock_file(path: &Path) -> Result<File, TryLockError> {
         made => made,
     };
     let file = file.map_err(TryLockError::Error)?;
+    for _ in 0..N_LOCK_LOOKS {
+        match file.try_lock() {
+            Err(TryLockError::WouldBlock) => thread::sleep(LOCK_PAUSE),
+            tried => return tried.map(|()| file),
+        }
+    }
     file.try_lock()?;
     Ok(file)
 }

@@ -137,7 +137,7 @@ mod tests {
         assert!(!text.contains("{place}") && !file(&files, "README.md").contains("{name}"));
         let files = template("my-world", LeadtimeSource::Repository).unwrap();
         let text = file(&files, "Cargo.toml");
-        assert_eq!(text.matches("git = \"https://REPOSITORY\"").count(), 4, "{text}");
+        assert_eq!(text.matches("git = \"https://REPOSITORY\"").count(), 5, "{text}");
         assert!(text.contains("# Write the address of the repository"), "{text}");
     }
 
