@@ -20,8 +20,11 @@ use std::time::Instant;
 use namespaces::Hosts;
 use support::get;
 
+/// What a test does with its hosts.
+type HostsTest = fn(&Hosts);
+
 /// What is tried, by name.
-const TESTS: [(&str, fn(&Hosts)); 4] = [
+const TESTS: [(&str, HostsTest); 4] = [
     ("readme", pages::the_commands_of_readme_work_on_hosts_of_their_own),
     ("operations", pages::the_commands_without_a_router_work_on_two_hosts),
     ("sync", |hosts| blows::the_weights_are_those_of_a_run_in_peace(hosts, "sync")),
