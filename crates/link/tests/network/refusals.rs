@@ -233,7 +233,9 @@ async fn damage(from: tokio::net::UnixListener, to: String) {
                 .filter(|(_, it)| it == b"DAMAGE")
                 .map(|(at, _)| at)
                 .collect();
-            found.into_iter().for_each(|at| bytes[at + 3] = b'?');
+            for at in found {
+                bytes[at + 3] = b'?';
+            }
             if ask.write_all(&bytes[..n]).await.is_err() {
                 break;
             }
