@@ -1,9 +1,9 @@
 //! Where the learner's time goes: measured once, reported twice, as sums per update and as spans of a trace.
 //!
 //! ```text
-//! train      │ wait for rollouts │ wait for the checkpoint │ wait ... │ update v+1          │ wait ...
-//!            │                   │                         │          │ batch │ epochs │    │
-//! loop       │ weights v │       │ checkpoint v            │          │                     │ weights v+1
+//! train      │ wait for the loop │ update v+1                │ wait for rollouts │ update v+2
+//! loop       │ weights v         │ checkpoint v │            │ weights v+1       │
+//! evaluate   │                   │ evaluate v                                    │
 //! evaluate   │                     evaluate v                                              │
 //! ```
 //!

@@ -158,6 +158,8 @@ struct RunLoop {
     record: TrainingRecord,
     last_update: Instant,
     last_checkpoint: (Instant, u64),
+    /// Whether the state after the last finished update is to be written as soon as the next update has begun.
+    is_checkpoint_due: bool,
     saving: Saving,
     /// Where the time since the last update went so far.
     phases: PhaseClock,
@@ -211,6 +213,7 @@ impl RunLoop {
             record,
             last_update: now,
             last_checkpoint: (now, version.0),
+            is_checkpoint_due: false,
             phases,
             warned_waiting_at: None,
         })
@@ -230,15 +233,20 @@ impl RunLoop {
                 LearnerWake::Stop => return Ok(RunEnd::Stopped),
                 wake => self.handle(wake, events)?,
             }
-            if self.is_over() {
+            let is_over = self.is_over();
+            // None follows when the run is asked to stop: the sink may have asked for exactly this many.
+            if !is_over && !stop.ask.is_cancelled() {
+                self.train()?;
+                self.evaluate();
+                self.act();
+            }
+            // After the next update has begun: the training thread does not wait for the disk.
+            if std::mem::take(&mut self.is_checkpoint_due) {
+                self.save()?;
+            }
+            if is_over {
                 return Ok(RunEnd::Finished);
             }
-            if stop.ask.is_cancelled() {
-                continue; // No further update: the sink may have asked for exactly this many.
-            }
-            self.train()?;
-            self.evaluate();
-            self.act();
         }
     }
 
@@ -452,7 +460,8 @@ impl RunLoop {
             || self.version.0 - n_then >= interval.updates
             || since.elapsed() >= interval.time;
         // While it fails, the clock says when to try again.
-        if is_due && self.saving.unsaved(Instant::now()).is_none() { self.save() } else { Ok(()) }
+        self.is_checkpoint_due |= is_due && self.saving.unsaved(Instant::now()).is_none();
+        Ok(())
     }
 
     /// Queues the newest policy to be evaluated, if its version is due.
