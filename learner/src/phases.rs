@@ -1,10 +1,10 @@
 //! Where the learner's time goes: measured once, reported twice, as sums per update and as spans of a trace.
 //!
 //! ```text
-//! train      │ wait for the loop │ update v+1                │ wait for rollouts │ update v+2
-//! loop       │ weights v         │ checkpoint v │            │ weights v+1       │
-//! evaluate   │                   │ evaluate v                                    │
-//! evaluate   │                     evaluate v                                              │
+//! train      │ wait for the loop │ update v+1               │ wait for rollouts │ update v+2
+//!            │                   │ batch │ epochs │         │                   │ batch │ epochs │
+//! loop       │ weights v         │ checkpoint v │           │ weights v+1       │
+//! evaluate   │                   │ evaluate v                                   │
 //! ```
 //!
 //! A wait is named after what came last: until then nothing else would have helped.
