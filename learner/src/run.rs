@@ -158,8 +158,6 @@ struct RunLoop {
     record: TrainingRecord,
     last_update: Instant,
     last_checkpoint: (Instant, u64),
-    /// Whether the state after the last finished update is to be written as soon as the next update has begun.
-    is_checkpoint_due: bool,
     saving: Saving,
     /// Where the time since the last update went so far.
     phases: PhaseClock,
@@ -213,7 +211,6 @@ impl RunLoop {
             record,
             last_update: now,
             last_checkpoint: (now, version.0),
-            is_checkpoint_due: false,
             phases,
             warned_waiting_at: None,
         })
@@ -229,6 +226,7 @@ impl RunLoop {
         let mut ticks = interval(TICK);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
+            let version = self.version;
             match self.next_wake(events, &mut ticks, &stop.ask).await? {
                 LearnerWake::Stop => return Ok(RunEnd::Stopped),
                 wake => self.handle(wake, events)?,
@@ -241,7 +239,7 @@ impl RunLoop {
                 self.act();
             }
             // After the next update has begun: the training thread does not wait for the disk.
-            if std::mem::take(&mut self.is_checkpoint_due) {
+            if self.version > version && self.is_checkpoint_due() {
                 self.save()?;
             }
             if is_over {
@@ -454,14 +452,18 @@ impl RunLoop {
         // Together with the record above: a checkpoint holds both, and they must be of the same update.
         self.state = updated.state;
         offered?;
+        Ok(())
+    }
+
+    /// Returns whether the state after an update that has just ended is to be written.
+    fn is_checkpoint_due(&self) -> bool {
         let (since, n_then) = self.last_checkpoint;
         let interval = self.config.checkpoint_interval;
         let is_due = self.version.0 >= self.config.settings.n_updates()
             || self.version.0 - n_then >= interval.updates
             || since.elapsed() >= interval.time;
         // While it fails, the clock says when to try again.
-        self.is_checkpoint_due |= is_due && self.saving.unsaved(Instant::now()).is_none();
-        Ok(())
+        is_due && self.saving.unsaved(Instant::now()).is_none()
     }
 
     /// Queues the newest policy to be evaluated, if its version is due.
