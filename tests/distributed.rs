@@ -412,6 +412,7 @@ fn actor(directory: &Path, name: &str, incarnation: u64) -> ActorTask {
         run: None,
         connect: ConnectSettings::new(vec![endpoint(directory)]),
         reconnect_timeout: PATIENCE,
+        yields_to_learner: false,
         program: "test".to_owned(),
         cpu: "cpu".to_owned(),
     };

@@ -122,6 +122,7 @@ fn settings(actor: &ActorId, start: StartKey) -> ActorSettings {
         run: None,
         connect: ConnectSettings::new(Vec::new()),
         reconnect_timeout: Duration::from_hours(24),
+        yields_to_learner: false,
         program: "test".to_owned(),
         cpu: "cpu".to_owned(),
     }

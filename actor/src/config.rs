@@ -19,6 +19,8 @@ pub struct ActorSettings {
     /// How long to look for a learner that was lost: longer than at the start, because a network fails for longer than
     /// a typing error lasts.
     pub reconnect_timeout: Duration,
+    /// Whether the learner goes first on the cores that this actor shares with it: all actors wait for its updates.
+    pub yields_to_learner: bool,
     /// Fingerprint of the program's build: equal ones compute the same numbers.
     pub program: String,
     /// CPU fingerprint: equal fingerprints give equal bits.

@@ -12,6 +12,7 @@
 //! The loop itself never waits for the network or for an environment.
 
 use std::future::pending;
+use std::mem;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -39,6 +40,8 @@ use crate::{ActorEnd, ActorReport, ActorSettings, Error};
 const TICK: Duration = Duration::from_secs(1);
 /// How long a leaving actor waits for the acknowledgement of what it sent.
 const FAREWELL: Duration = Duration::from_secs(1);
+/// How much nicer the thread that collects is where it yields to the learner (nice(2)).
+const NICENESS: i32 = 10;
 /// How long an actor that is asked to stop may take to finish its current rollout.
 const LAST_ROLLOUT: Duration = Duration::from_secs(1);
 
@@ -154,6 +157,13 @@ async fn live(
     Ok(process.report(end))
 }
 
+/// Lowers the priority of this thread. Linux keeps one for each; elsewhere it is the whole process that yields.
+fn yield_to_learner() {
+    if let Err(error) = rustix::process::nice(NICENESS) {
+        debug!(%error, "collecting has the learner's priority");
+    }
+}
+
 /// The threads and tasks of an actor process.
 struct Process {
     actor: LiveActor,
@@ -181,9 +191,16 @@ impl Process {
     ) -> Result<Self, Error> {
         // What the learner says of the run is checked before anything is built by it.
         let (incarnation, spec) = (settings.start.incarnation(), welcome.spec.clone());
+        let mut yields = settings.yields_to_learner;
         let actor = Actor::new(settings, welcome, Instant::now())?;
         let builder = EnvBuilder::new(registry, &spec)?;
         let mut worker = CollectWorker::new(builder.clone(), incarnation);
+        let collect = move |job| {
+            if mem::take(&mut yields) {
+                yield_to_learner();
+            }
+            worker.work(job)
+        };
         let sender = Arc::clone(&link);
         let send = move |rollout: EncodedRollout| {
             let EncodedRollout { header, payload } = rollout;
@@ -198,7 +215,7 @@ impl Process {
             actor,
             link,
             policy: spec.policy,
-            collector: JobThread::start("actor-collect", 1, move |job| worker.work(job))?,
+            collector: JobThread::start("actor-collect", 1, collect)?,
             restorer: JobThread::start("actor-restore", 1, restore)?,
             publisher: JobThread::start("actor-publish", 1, publish)?,
             // A hello and as many pulls are under way at most: each has a place, so no task waits to hand in its result.

@@ -47,6 +47,38 @@ fn an_interrupted_supervisor_takes_everything_down_in_time() {
 }
 
 #[test]
+fn actors_yield_to_a_learner_that_has_no_core_of_its_own() {
+    // One more than there are cores.
+    let place = Place::new();
+    let n_threads = std::thread::available_parallelism().unwrap().get() - 1;
+    let n_threads = format!("--set learner.threads={}", n_threads.max(1));
+    let supervisor = place.start(&[LONG, &n_threads]);
+    let (learner, actors) = family(supervisor.id());
+    wait_for_updates(&place.run("r"), 2);
+    for actor in actors {
+        let (collects, others): (Vec<_>, Vec<_>) =
+            niceness(actor).into_iter().partition(|(name, _)| name == "actor-collect");
+        let [(_, collects)] = collects[..] else { panic!("one thread collects: {collects:?}") };
+        assert!(others.iter().all(|(_, other)| *other < collects), "{collects}, {others:?}");
+    }
+    assert!(niceness(learner).windows(2).all(|two| two[0].1 == two[1].1));
+    signal("TERM", supervisor.id());
+    supervisor.finish(PATIENCE).with_code(130);
+}
+
+/// Returns the names of a process's threads, and how nice each is (proc_pid_stat(5)).
+fn niceness(process: u32) -> Vec<(String, i32)> {
+    let read = |thread: std::fs::DirEntry| {
+        let stat = std::fs::read_to_string(thread.path().join("stat")).ok()?;
+        let (name, rest) = stat.split_once(" (")?.1.rsplit_once(") ")?;
+        // The name is the second field, and this the nineteenth.
+        Some((name.to_owned(), rest.split(' ').nth(16)?.parse().ok()?))
+    };
+    let threads = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
+    threads.filter_map(|thread| read(thread.unwrap())).collect()
+}
+
+#[test]
 fn a_drained_supervisor_ends_well_and_its_run_can_go_on() {
     let place = Place::new();
     let (supervisor, processes) = start(&place);

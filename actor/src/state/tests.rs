@@ -38,6 +38,7 @@ impl Bench {
             run: None,
             connect: ConnectSettings::new(Vec::new()),
             reconnect_timeout: PATIENCE,
+            yields_to_learner: false,
             program: "test".to_owned(),
             cpu: "cpu".to_owned(),
         };

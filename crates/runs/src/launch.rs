@@ -14,6 +14,7 @@ use tokio_util::sync::CancellationToken;
 use tracing::info;
 
 use crate::RunDirError;
+use crate::learner_config::is_crowded;
 use crate::naming::{Naming, Reservation};
 use crate::placement::Placement;
 use crate::scratch::ScratchDir;
@@ -206,7 +207,7 @@ fn plan(
     let text = |words: &[&str]| words.iter().map(OsString::from).collect::<Vec<_>>();
     let mut learner = text(&["learner", "--supervised", "--name", reserved.name.as_str()]);
     learner.extend(text(&["--listen", endpoint]));
-    let n_beside = if launch.placement.is_shared() { launch.n_actors } else { 0 };
+    let n_beside = if launch.placement.is_shared() { launch.n_actors as usize } else { 0 };
     learner.extend(text(&["--local-actors", &n_beside.to_string()]));
     learner.extend(launch.options.iter().cloned());
     // Not through the file, and not as text: a path need not be text.
@@ -236,11 +237,12 @@ fn plan(
     let trace: Vec<OsString> =
         launch.trace.iter().flat_map(|file| ["--trace".into(), file.into()]).collect();
     learner.extend(trace.iter().cloned());
+    let yields: &[&str] = if is_crowded(config, n_beside) { &["--yields-to-learner"] } else { &[] };
     let actor = |number: u32| {
         let id = format!("actor-{number}");
         // The configuration is this user's own, and so is the learner.
         let own = ["actor", "--supervised", "--connect", endpoint, "--id", &id, "--trust-worker"];
-        [text(&own), launch.options.to_vec(), trace.clone()].concat()
+        [text(&own), text(yields), launch.options.to_vec(), trace.clone()].concat()
     };
     Ok(ProcessPlan {
         learner,

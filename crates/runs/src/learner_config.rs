@@ -71,6 +71,11 @@ pub(crate) fn learner_threads(config: &Config, n_local_actors: usize) -> usize {
     }
 }
 
+/// Returns whether a learner and so many actors beside it have more work than this machine has cores.
+pub(crate) fn is_crowded(config: &Config, n_local_actors: usize) -> bool {
+    n_local_actors > 0 && learner_threads(config, n_local_actors) + n_local_actors > n_cores()
+}
+
 /// Returns how many cores actors leave to their learner, at least one.
 fn free_cores(n_local_actors: usize) -> usize {
     n_cores().saturating_sub(n_local_actors).clamp(1, MAX_THREADS)
@@ -80,6 +85,13 @@ fn free_cores(n_local_actors: usize) -> usize {
 mod tests {
     use super::*;
     use crate::test_support::config;
+
+    #[test]
+    fn a_machine_is_crowded_by_more_actors_than_leave_a_core_to_the_learner() {
+        let config = config(&["learner.threads=0"]);
+        assert!(!is_crowded(&config, 0) && !is_crowded(&config, n_cores() - 1));
+        assert!(is_crowded(&config, n_cores()));
+    }
 
     #[test]
     fn an_actor_may_have_on_its_way_what_the_lag_lets_it_make() {

@@ -272,6 +272,9 @@ pub(crate) struct ActorArgs {
     /// Stop when standard input closes: the process that started this one holds the other end.
     #[arg(long, hide = true)]
     pub supervised: bool,
+    /// Let the learner go first on the cores that they share.
+    #[arg(long, hide = true)]
+    pub yields_to_learner: bool,
     /// Print what it did as JSON.
     #[arg(long)]
     pub json: bool,

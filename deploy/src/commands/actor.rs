@@ -127,6 +127,7 @@ fn settings(args: &ActorArgs, build: ProgramBuild) -> anyhow::Result<ActorSettin
         run,
         connect,
         reconnect_timeout: args.reconnect_timeout,
+        yields_to_learner: args.yields_to_learner,
         program: build.program,
         cpu: build.cpu,
     })
