@@ -2,7 +2,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::time::Duration;
 
@@ -448,8 +447,7 @@ fn a_film_is_what_ffmpeg_makes_of_the_moving_picture() {
     let usual = std::env::var("PATH").unwrap();
     let path = format!("{bin}:{usual}");
     let pretend = |script: &str| {
-        let ffmpeg = place.write("bin/ffmpeg", script);
-        fs::set_permissions(ffmpeg, fs::Permissions::from_mode(0o755)).unwrap();
+        place.executable("bin/ffmpeg", place.write("ffmpeg.sh", script).as_ref());
     };
     pretend(FAKE_FFMPEG);
     let drawn = draw(&path, "a.mp4").with_code(0).stdout;

@@ -5,8 +5,8 @@
 
 use std::fs;
 use std::hash::{DefaultHasher, Hash as _, Hasher as _};
-use std::io::Write as _;
 use std::path::Path;
+use std::process::Command;
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
@@ -302,8 +302,9 @@ fn a_run_that_another_build_resumes_is_not_called_reproducible() {
     first.finish(PATIENCE).with_code(0);
     helper.finish(PATIENCE);
     let other = place.copy_of_program("other");
-    let append = std::fs::File::options().append(true).open(&other);
-    append.unwrap().write_all(b"x").unwrap();
+    let append = ["-c", "printf x >> other"];
+    let appended = Command::new("sh").args(append).current_dir(place.path()).status();
+    assert!(appended.unwrap().success());
     let endpoint = place.endpoint("learner");
     let second = place.program_at(&other, &[RUN, &endpoint, "--stop-after 16"]);
     let second = place.start_with(second);

@@ -73,9 +73,18 @@ impl Place {
 
     /// Makes a copy of the program, which may be replaced or removed.
     pub(crate) fn copy_of_program(&self, name: &str) -> PathBuf {
-        let copy = self.path().join(name);
-        fs::copy(env!("CARGO_BIN_EXE_leadtime"), &copy).expect("the program can be copied");
-        copy
+        self.executable(name, Path::new(env!("CARGO_BIN_EXE_leadtime")))
+    }
+
+    /// Makes a program in this place of a file.
+    ///
+    /// Another process writes it: a file that is open for writing cannot be executed, and what this process writes is open
+    /// for a moment in every process that another test is just starting.
+    pub(crate) fn executable(&self, name: &str, file: &Path) -> PathBuf {
+        let made = self.path().join(name);
+        let status = Command::new("install").args(["-m", "755"]).arg(file).arg(&made).status();
+        assert!(status.expect("install(1) is there").success(), "{name} can be made");
+        made
     }
 
     /// As [`Place::program`], for a copy of it.

@@ -1,7 +1,6 @@
 //! The voice of a notifier at work, through the program: what is played, a cut, and helpers that are missing, end or talk rubbish.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt as _;
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
@@ -193,8 +192,7 @@ fn a_database_is_spoken_once_and_served_from_its_recording() {
     let place = Place::new();
     let bin = place.file("bin");
     fs::create_dir_all(&bin).unwrap();
-    let flite = place.write("bin/flite", FAKE_FLITE);
-    fs::set_permissions(&flite, fs::Permissions::from_mode(0o755)).unwrap();
+    place.executable("bin/flite", place.write("flite.sh", FAKE_FLITE).as_ref());
     let sound = place.file("sound.wav");
     fs::write(&sound, leadtime_voice::wav::write(8_000, &vec![500; 40_000])).unwrap();
     let path = format!("{bin}:{}", std::env::var("PATH").unwrap());
