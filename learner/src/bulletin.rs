@@ -108,9 +108,12 @@ impl Bulletin {
 
     /// Publishes what is still to be published, and the end.
     pub(crate) async fn finish(self, end: &Value) {
-        let Self { newest, task, link } = self;
+        let Self { newest, mut task, link } = self;
         drop(newest);
-        drop(timeout(FAREWELL, task).await);
+        // Nothing comes after the end.
+        if timeout(FAREWELL, &mut task).await.is_err() {
+            task.abort();
+        }
         if let Err(error) = link.publish_metrics(end.to_string().as_bytes()) {
             debug!(%error, "the end is not published");
         }
