@@ -124,12 +124,18 @@ impl<'a> Layers<'a> {
     ///
     /// Inside a section a table with one key stands for a choice (`{ fixed = 2 }`), so another choice replaces it whole. What
     /// changes for the evaluation is a choice where the same table of the world has one key.
-    /// Refuses what is not TOML, a number that no setting can have, and a list in place of a section.
+    /// Refuses what is not TOML, a number that no setting can have, a list in place of a section, and an option that names a base.
     pub(crate) fn merge(layers: &'a mut [Layer]) -> Result<Self, ConfigError> {
         let mut merged = Self { layers: Vec::new(), table: DeTable::new() };
         for (i, layer) in layers.iter_mut().enumerate() {
             if let Some(fitted) = layer.change.as_ref().and_then(|change| merged.fitted(change)) {
                 layer.text = fitted.to_string();
+            }
+            if layer.change.is_some() && layer.parse()?.contains_key(BASE) {
+                return Err(layer.refuse(
+                    None,
+                    "what a configuration starts from is named in its file, or by `-c`",
+                ));
             }
             let mut whole = BTreeMap::new();
             whole_numbers(&merged.table, &layer.parse()?, &mut whole);

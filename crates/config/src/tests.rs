@@ -395,6 +395,8 @@ fn a_wrong_value_is_reported_by_line_or_option_with_what_is_allowed() {
         ("learner=[]", ["--set learner: `learner` is a section, not a list: set its", "`anneal`"]),
         ("learner=3", ["`learner` is a section, not a whole number: set", "such as `anneal`"]),
         ("human.reaction_delay=[]", ["`reaction_delay` is a section, not a list", "`fixed`"]),
+        ("base=3", ["--set base: ", "is named in its file, or by `-c`"]),
+        ("base.x=3", ["--set base.x: ", "is named in its file, or by `-c`"]),
         ("learner.n_envs=1.5", ["--set learner.n_envs: ", "number `1.5`, expected a whole number"]),
         ("seed=-1", ["whole number `-1`", ", expected a whole number that is not negative"]),
         ("actor.window=5e9", ["`5000000000`", ", expected a whole number that is not as large"]),
