@@ -1,8 +1,9 @@
 """The piloting notifier, trained to .9 success by Leadtime and by its peers: environment steps, seconds, steps per second.
 
-    python3 bench/peers/notifier.py [leadtime cleanrl cleanrl-sync sb3 sample-factory] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
+    python3 bench/peers/notifier.py [leadtime leadtime-two cleanrl cleanrl-sync sb3 sample-factory] [--seeds 1 2 3] [--results FOLDER] [--steps 2400000] [--stop]
 
-The task, the network and the settings are those of `leadtime config lander`. `leadtime` is `leadtime up` with one actor;
+The task, the network and the settings are those of `leadtime config lander`. `leadtime` is `leadtime up` with one actor, `leadtime-two` with two,
+which train the same weights;
 `cleanrl` a single file in the manner of CleanRL's `ppo.py`, on the native vector of 64 environments, and `cleanrl-sync` on Gymnasium's
 `SyncVectorEnv` of 64 single ones, as CleanRL has it; `sb3` MaskablePPO of
 sb3-contrib on 64 single ones; `sample-factory` its asynchronous PPO on two workers with 32 each, without masks and with a learning rate that
@@ -60,9 +61,13 @@ def result(steps, seconds, last_success, reached):
             "steps_per_second": round(steps / seconds), "last_success": round(last_success, 2)}
 
 
-def leadtime(args, seed):
+def leadtime_two(args, seed):
+    return leadtime(args, seed, n_actors=2)
+
+
+def leadtime(args, seed, n_actors=1):
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        command = [args.program, "up", "-c", "lander", "--actors", "1", "--seed", str(seed), "--runs", folder,
+        command = [args.program, "up", "-c", "lander", "--actors", str(n_actors), "--seed", str(seed), "--runs", folder,
                    "--name", "r", "--set", f"learner.total_steps={args.steps}", "--set", "evaluation.during_training=0"]
         started = time.time()
         said = open(folder + "/said", "w+")
@@ -306,7 +311,7 @@ def sample_factory(args, seed):
         return progress.result()
 
 
-SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "cleanrl": (cleanrl, "CleanRL-style PPO, native vector"),
+SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "leadtime-two": (leadtime_two, "`leadtime up`, two actors"), "cleanrl": (cleanrl, "CleanRL-style PPO, native vector"),
            "cleanrl-sync": (cleanrl_sync, "CleanRL-style PPO, `SyncVectorEnv` as in CleanRL"),
            "sb3": (sb3, "Stable-Baselines3 MaskablePPO"), "sample-factory": (sample_factory, "Sample Factory, 2 workers x 32")}
 
@@ -314,7 +319,7 @@ SYSTEMS = {"leadtime": (leadtime, "`leadtime up`, one actor"), "cleanrl": (clean
 def train(args, system, seed):
     """Trains in this process, and writes the result."""
     about = {"system": system, "seed": seed, "total_steps": args.steps, "cores": os.cpu_count()}
-    if system != "leadtime":
+    if not system.startswith("leadtime"):
         try:
             import torch
         except ImportError as missing:
