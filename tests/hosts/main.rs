@@ -24,9 +24,10 @@ use support::get;
 type HostsTest = fn(&Hosts);
 
 /// What is tried, by name.
-const TESTS: [(&str, HostsTest); 4] = [
+const TESTS: [(&str, HostsTest); 5] = [
     ("readme", pages::the_commands_of_readme_work_on_hosts_of_their_own),
     ("operations", pages::the_commands_without_a_router_work_on_two_hosts),
+    ("python", pages::an_environment_of_ones_own_trains_on_two_hosts),
     ("sync", |hosts| blows::the_weights_are_those_of_a_run_in_peace(hosts, "sync")),
     ("lag", |hosts| blows::the_weights_are_those_of_a_run_in_peace(hosts, "lag")),
 ];

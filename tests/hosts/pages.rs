@@ -15,6 +15,8 @@ use super::support::{
 
 /// Updates that a run must make to be at work.
 const SOME: u64 = 2;
+/// How the commands of those begin who make an authority of their own.
+const AUTHORITY: &str = "leadtime certs init ";
 /// How README says on which host a command is run.
 const README_HOSTS: [(&str, &str); 4] = [
     ("on ROUTER", "router"),
@@ -36,14 +38,14 @@ impl Step {
     }
 }
 
-/// Reads the commands of a page for several hosts, after a look at the text around them.
-fn steps(page: &str, copies: &str) -> Vec<Step> {
+/// Reads the commands of a page for several hosts, of which the first begins so, after a look at the text around them.
+fn steps(page: &str, begins: &str, copies: &str) -> Vec<Step> {
     let text = fs::read_to_string(repository(page)).expect("the page is there");
     let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(words.contains(copies), "{page} has other files copied than this test does");
     let mut blocks = text.split("<!-- not run: several machines -->\n```console\n").skip(1);
-    let block = blocks.find(|block| block.starts_with("leadtime certs init "));
-    let block = block.unwrap_or_else(|| panic!("{page} begins with no authority of one's own"));
+    let block = blocks.find(|block| block.starts_with(begins));
+    let block = block.unwrap_or_else(|| panic!("{page} has no commands that begin with {begins}"));
     let lines = block.split("```").next().unwrap_or_default().lines();
     lines
         .map(|line| {
@@ -156,7 +158,8 @@ fn with_address(steps: Vec<Step>, name: &str, address: &str) -> Vec<Step> {
 
 pub(crate) fn the_commands_of_readme_work_on_hosts_of_their_own(hosts: &Hosts) {
     let copies = "copy `ca.pem` and each process's `.pem` and `.key` to its host, and `acl.json5` to the router.";
-    let steps = with_address(steps("README.md", copies), "ROUTER", &hosts.address("router"));
+    let steps =
+        with_address(steps("README.md", AUTHORITY, copies), "ROUTER", &hosts.address("router"));
     assert!(steps.len() <= 6, "six commands are enough");
     let sites = perform(&steps, "authority", &README_HOSTS);
     let sites =
@@ -225,7 +228,7 @@ fn wait_for_page(address: &str, what: &str, mut is_so: impl FnMut([&Value; 2]) -
 
 pub(crate) fn the_commands_without_a_router_work_on_two_hosts(hosts: &Hosts) {
     let copies = "take four commands, three of them on the first; copy `ca.pem` and the files of its process to each of the others:";
-    let steps = steps("docs/operations.md", copies);
+    let steps = steps("docs/operations.md", AUTHORITY, copies);
     let steps = with_address(steps, "HOST", &hosts.address("learner"));
     assert_eq!(steps.len(), 4, "four commands are enough");
     let sites = perform(&steps, "learner", &[("on another host", "near")]);
@@ -234,4 +237,41 @@ pub(crate) fn the_commands_without_a_router_work_on_two_hosts(hosts: &Hosts) {
     let told = learner.end("TERM", 130);
     assert!(told.contains("all accounted for"), "{told}");
     near.ended();
+}
+
+/// The environment that docs/worlds/python.md has, trained by README's two commands.
+pub(crate) fn an_environment_of_ones_own_trains_on_two_hosts(hosts: &Hosts) {
+    let found = Command::new("python3").args(["-c", "import leadtime.worker, gymnasium"]).output();
+    if !found.is_ok_and(|found| found.status.success()) {
+        println!("skipped: this python3 has no package leadtime, or no Gymnasium");
+        return;
+    }
+    let page = fs::read_to_string(repository("docs/worlds/python.md")).expect("the page is there");
+    let part = |kind: &str| {
+        let (_, rest) = page.split_once(&format!("```{kind}\n")).expect("it has a whole one");
+        rest.split("```").next().unwrap_or_default().to_owned()
+    };
+    let has = "On two hosts that have the package and `crossing.py`, two commands train it:";
+    let steps = steps("README.md", "leadtime learner -c crossing.toml ", has);
+    let steps = with_address(steps, "HOST", &hosts.address("learner"));
+    let [Step { line: learner, .. }, Step { line: actor, about }] = &steps[..] else {
+        panic!("two commands are enough")
+    };
+    assert_eq!(about, "on the other");
+
+    let [mut first, mut other] = ["learner", "near"].map(Site::new);
+    for site in [&first, &other] {
+        site.place.write("crossing.py", &part("python"));
+    }
+    first.place.write("crossing.toml", &part("toml"));
+    let short = "--steps 8192 --json --name";
+    first.process = Some(first.start(&format!("{learner} {short} apart")));
+    other.process = Some(other.start(actor));
+    let apart = first.process.take().expect("it was started").finish(PATIENCE).with_code(0).json();
+    other.ended();
+    assert_eq!(apart["books"]["balanced"], true, "{apart}");
+    let alone = first.start(&format!("leadtime up -c crossing.toml {short} alone"));
+    let alone = alone.finish(PATIENCE).with_code(0).json();
+    assert_eq!(apart["weights_sha256"], alone["weights_sha256"]);
+    println!("same weights on two hosts and on one: {}", alone["weights_sha256"]);
 }
