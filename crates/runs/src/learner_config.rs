@@ -88,7 +88,8 @@ mod tests {
 
     #[test]
     fn a_machine_is_crowded_by_more_actors_than_leave_a_core_to_the_learner() {
-        let config = config(&["learner.threads=0"]);
+        let place = tempfile::tempdir().unwrap();
+        let config = config(place.path(), "lander", "", &["learner.threads=0"]);
         assert!(!is_crowded(&config, 0) && !is_crowded(&config, n_cores() - 1));
         assert!(is_crowded(&config, n_cores()));
     }
