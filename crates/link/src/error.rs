@@ -34,9 +34,16 @@ impl fmt::Display for NetworkFault {
 
 impl std::error::Error for NetworkFault {}
 
-/// Returns an error of the library without its end, the place in the library's own sources, which helps nobody here.
+/// Returns an error of the library without its end, the place in the library's own sources, which helps nobody here. What is
+/// vendored has a place below this repository.
 pub(crate) fn without_place(text: &str) -> &str {
-    text.split(" at /").next().unwrap_or(text).trim_end_matches('.')
+    let is_place = |rest: &str| {
+        let word = rest.split_whitespace().next().unwrap_or_default();
+        rest.starts_with('/') || word.contains(".rs:")
+    };
+    let mut ends = text.match_indices(" at ");
+    let end = ends.find(|(at, word)| is_place(&text[at + word.len()..]));
+    text[..end.map_or(text.len(), |(at, _)| at)].trim_end_matches('.')
 }
 
 /// Why something could not be done over the network.
@@ -335,6 +342,9 @@ mod tests {
             "bound to tcp/[::1]:80: [[::1]:80: Permission denied (os error 13) at /tcp.rs:61.]";
         let shown = NetworkFault(text.into()).to_string();
         assert_eq!(shown, "bound to tcp/[::1]:80: [::1]:80: Permission denied (os error 13)");
+        let vendored =
+            "looked at nobody. at vendor/zenoh/src/a.rs:551. at vendor/zenoh/src/b.rs:7.";
+        assert_eq!(NetworkFault(vendored.into()).to_string(), "looked at nobody");
     }
 
     #[test]
