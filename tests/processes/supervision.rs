@@ -66,7 +66,7 @@ fn actors_yield_to_a_learner_that_has_no_core_of_its_own() {
     supervisor.finish(PATIENCE).with_code(130);
 }
 
-/// Returns the names of a process's threads, and how nice each is (proc_pid_stat(5)).
+/// Returns the names of a process's threads, and how nice each is (`proc_pid_stat(5)`).
 fn niceness(process: u32) -> Vec<(String, i32)> {
     let read = |thread: std::fs::DirEntry| {
         let stat = std::fs::read_to_string(thread.path().join("stat")).ok()?;
