@@ -26,6 +26,8 @@ import pickle
 import platform
 import random
 import re
+import select
+import signal
 import socket
 import struct
 import sys
@@ -44,11 +46,11 @@ MOST_NUMBERS = 1 << 18  # Of an observation; crates/worker/src/settings.rs has t
 MOST_PICKLE = 192 << 10  # Bytes; crates/worker/src/launch.rs has the same bound.
 EVERYTHING = 2**64 - 1
 MOST_OBSERVED = 1e9  # The largest number that a rollout may hold, either way.
-SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work.
+SIGN_OF_LIFE = 1.0  # Seconds of silence after which the actor is told that environments still work; crates/worker/src/link.rs has the same.
 LINES_PER_SECOND = 10
 MOST_TRACEBACKS = 20
 MOST_SHOWN = 80  # Characters of a value in a sentence.
-CLOSING = 1.0  # Seconds that environments have for their `close` when the actor is gone.
+CLOSING = 2.0  # Seconds that environments have for their `close` when the actor is gone; crates/worker/src/process.rs has the same.
 LARGEST = 3e38  # About the largest number of 32 bits; the actor refuses it by name.
 ENGINES = ("Box2D", "mujoco", "ale_py", "pettingzoo", "torch", "jax")  # What computes may decide what is computed.
 COLOUR = re.compile(r"\x1b\[[0-9;]*m")  # With which Gymnasium writes its warnings.
@@ -90,6 +92,12 @@ class Connection:
         with self.lock:
             self.socket.sendall(struct.pack("<IB", len(body), kind) + body)
         self.last = time.monotonic()
+
+    def is_lost(self):
+        """Returns whether the actor is gone, and has not only said that it asks no more."""
+        poll = select.poll()
+        poll.register(self.socket, 0)
+        return any(events & select.POLLHUP for _, events in poll.poll(0))
 
     def failed(self, slot, error):
         self.send(FAILED, struct.pack("<H", slot), as_bytes(sentence(error)))
@@ -609,6 +617,7 @@ class Worker:
 
     def restore(self, slot, seed, base, actions):
         if base:
+            # The one before is not closed: the two may share what it has opened.
             self.envs[slot], row, mask = pickle.loads(base)
         else:
             observation, info = self.reset(slot, seed)
@@ -651,6 +660,7 @@ class Worker:
                     terminated, truncated = flag(terminated, "`terminated`"), flag(truncated, "`truncated`")
                 if terminated or truncated:
                     ended = row.tobytes() + self.summary(info)
+                    self.connection.live()
                     observation, info = self.reset(slot, seed)
                     row = row_of(observation)
                 if has_mask or "action_mask" in info:
@@ -722,15 +732,15 @@ class Worker:
 
 
 def end_with_the_actor():
-    """The actor holds the other end of our standard input; when it is gone, so are we, whatever an environment does. Its
-    connection is gone then, too, which lets environments close in the meantime."""
+    """The actor holds the other end of our standard input; when it is gone, so are we and what environments have started, whatever
+    an environment does. Its connection is gone then, too, which lets environments close in the meantime."""
     try:
         while os.read(0, 1024):
             pass
     except OSError:
         pass
     time.sleep(CLOSING)
-    os._exit(0)
+    os.killpg(0, signal.SIGKILL)
 
 
 def main(arguments):
@@ -767,6 +777,10 @@ def main(arguments):
     except (BrokenPipeError, ConnectionResetError):
         pass
     worker.close()
+    if connection.is_lost():
+        # What environments have started is in our process group, which the actor would have killed.
+        sys.stderr.flush()
+        os.killpg(0, signal.SIGKILL)
     return 0
 
 

@@ -17,6 +17,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import textwrap
 import threading
 import time
 import types
@@ -510,6 +511,37 @@ def test_environments_are_closed_when_nobody_asks_any_more():
     with contextlib.redirect_stderr(io.StringIO()) as printed:
         pair.worker.close()
     assert closed == [0, 1] and "`close` fails: OSError: gone" in printed.getvalue(), (closed, printed.getvalue())
+
+
+def test_what_an_environment_has_started_ends_with_the_actor_even_where_the_environment_hangs():
+    for reset in ("return super().reset(seed=seed)", "time.sleep(1_000)"):
+        with tempfile.TemporaryDirectory() as place:
+            Path(place, "simulator.py").write_text(textwrap.dedent(f"""\
+                import subprocess, sys, time
+                from gymnasium.envs.classic_control import CartPoleEnv
+
+                class make(CartPoleEnv):
+                    def __init__(self):
+                        super().__init__()
+                        self.simulator = subprocess.Popen(["sleep", "1000"])
+
+                    def reset(self, seed=None):
+                        print("resets", file=sys.stderr)
+                        {reset}
+                """))
+            listener = socket.socket(socket.AF_UNIX)
+            listener.bind(place + "/socket")
+            listener.listen()
+            config = json.dumps({"env": {}, "metrics": [], "batch": 1})
+            process = subprocess.Popen(
+                [sys.executable, worker.__file__, "simulator:make"], cwd=place, stdin=subprocess.PIPE, stderr=subprocess.PIPE,
+                env=os.environ | {"LEADTIME_WORKER_SOCKET": place + "/socket", "LEADTIME_WORKER_CONFIG": config}, start_new_session=True)
+            end = listener.accept()[0]
+            while process.stderr.readline() != b"resets\n":
+                assert process.poll() is None
+            end.close()
+            # The simulator holds this pipe, too: it is read to its end once both are gone.
+            process.communicate(timeout=60)
 
 
 def test_the_end_of_an_episode_has_its_last_observation_metrics_and_the_next_first_one():

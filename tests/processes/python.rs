@@ -100,7 +100,7 @@ fn a_worker_that_fails_once_is_replaced_and_no_bit_changes() {
         ("exits", "out of fuel"),
         (
             "hangs",
-            "it said nothing for 1s; where a step or a reset takes longer, raise world.step_timeout",
+            "it said nothing for 2s; where a step or a reset takes longer, raise world.step_timeout",
         ),
         ("garbage", "started again"),
         ("huge-frame", "a frame of 2147483648 bytes"),

@@ -25,10 +25,10 @@ use crate::robot::ros2::ATTACHMENT;
 
 /// The greatest number that an observation may hold.
 pub const MAX_NUMBER: f64 = 1e9;
-/// The latest time that an observation may have, in seconds: some thirty years.
-pub(crate) const MAX_TIME: f64 = 1e9;
+/// The latest time that an observation may have, in seconds: Unix time until the year 2096.
+pub const MAX_TIME: f64 = 4e9;
 /// The largest number of an observation: room is left to count on from it, also for one that counts nanoseconds.
-const MAX_SEQ: u64 = 1 << 62;
+pub const MAX_SEQ: u64 = 1 << 62;
 /// The longest name of a fact, in bytes.
 const MAX_FACT: usize = 64;
 /// Bytes attached to a raw observation.
@@ -75,7 +75,7 @@ pub enum BadObservation {
     Leap(u64),
     #[error("the number of the source leaps to {0}, far beyond the one before: it counts messages")]
     SourceLeap(i64),
-    #[error("`t` is {}; allowed: 0 to 1e9 seconds", brief(*.0))]
+    #[error("`t` is {}; allowed: 0 to 4e9 seconds", brief(*.0))]
     Time(f64),
     #[error(
         "`t` went back from {before} to {after}: it is the client's own clock, which only goes on"
@@ -597,8 +597,8 @@ mod tests {
             (r#"{"seq":"1","t":0,"obs":[1,2]}"#, "a whole number from 0; it is \"1\""),
             (r#"{"seq":1,"t":"now","obs":[1,2]}"#, "`t` has to be the time"),
             (r#"{"seq":1,"t":0,"obs":[1,2],"end":1}"#, "`end` has to be true or false; it is 1"),
-            (r#"{"seq":1,"t":-1,"obs":[1,2]}"#, "`t` is -1; allowed: 0 to 1e9 seconds"),
-            (r#"{"seq":1,"t":1e300,"obs":[1,2]}"#, "`t` is 1e300; allowed: 0 to 1e9 seconds"),
+            (r#"{"seq":1,"t":-1,"obs":[1,2]}"#, "`t` is -1; allowed: 0 to 4e9 seconds"),
+            (r#"{"seq":1,"t":1e300,"obs":[1,2]}"#, "`t` is 1e300; allowed: 0 to 4e9 seconds"),
             (r#"{"seq":1,"t":0,"obs":[1,2],"ob":1}"#, "`ob` is not known; did you mean `obs`?"),
             (r#"{"seq":1,"seq":2,"t":0,"obs":[1,2]}"#, "`seq` is there twice"),
             (r#"{"seq":1,"t":0,"obs":[1,2]} x"#, "`x` at line 1, column 29 is out of place"),
@@ -611,6 +611,19 @@ mod tests {
             let error = read(text).unwrap_err();
             assert!(error.contains(told), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn unix_time_is_a_time_in_both_forms() {
+        let now = 1_796_000_000.25;
+        let mut found = LiveObservation::new(2);
+        let text = format!(r#"{{"seq":1,"t":{now},"obs":[1,2]}}"#);
+        found.read_json(text.as_bytes()).unwrap();
+        assert_eq!(found.head.t, now);
+        let head = ObservationHead { seq: 9, t: now, episode: 4, end: true };
+        let (numbers, beside) = write_raw(&head, &[0.1, -3.0]);
+        found.read_raw(&numbers, &beside).unwrap();
+        assert_eq!(found.head, head);
     }
 
     #[test]

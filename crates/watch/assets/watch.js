@@ -641,6 +641,7 @@ function takeFlight(told) {
   if (!told.problem) return;
   for (const id of ['heard', 'doing']) $(id).textContent = '';
   $('unheard').textContent = told.problem;
+  drawStage();
 }
 
 /** @param {any} told */

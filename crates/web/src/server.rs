@@ -12,7 +12,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, HttpBody as _};
+use axum::http::HeaderValue;
+use axum::http::header::CONNECTION;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -179,9 +181,15 @@ async fn converse(
     let owing = Arc::clone(&debt);
     let answer = service_fn(move |request: hyper::Request<Incoming>| {
         let (router, answering) = (router.clone(), owing.answering());
+        let has_body = !request.body().is_end_stream();
         async move {
             let answer = hyper::service::Service::call(&router, request.map(Body::new)).await;
-            let answer = answer.unwrap_or_else(|never| match never {});
+            let mut answer = answer.unwrap_or_else(|never| match never {});
+            if has_body {
+                // hyper takes the next head before the client has read this answer, and asks the service for one that it
+                // does not poll: a connection that is never read would never owe a head.
+                answer.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+            }
             Ok::<_, Infallible>(answer.map(|body| answering.with(body)))
         }
     });
@@ -340,6 +348,25 @@ mod tests {
         let mut head = [0; 15];
         begun.read_exact(&mut head).await.unwrap();
         assert_eq!(&head, b"HTTP/1.1 200 OK", "newer ones stay");
+        stop.cancel();
+        serving.await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn connections_that_ask_on_with_bodies_and_read_nothing_keep_nobody_out() {
+        let long = Bytes::from(vec![b'x'; 4 << 20]);
+        let answer = move || async move { long };
+        let router = Router::new().route("/", get(|| async { "here" })).route("/long", get(answer));
+        let (address, stop, serving) = started(router).await;
+        let request =
+            "GET /long HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1\r\n\r\nx".repeat(20);
+        let mut deaf = Vec::new();
+        for _ in 0..MAX_CONNECTIONS {
+            // Its first answer has begun.
+            deaf.push(ask(address, &request, "200 OK").await);
+        }
+        ask(address, ASKED, "here").await;
+        drop(deaf);
         stop.cancel();
         serving.await.unwrap();
     }

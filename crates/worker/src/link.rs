@@ -20,6 +20,9 @@ use crate::protocol::{
 use crate::settings::SnapshotKind;
 use crate::slot::{StepProgress, WorkerSlot, reset_seed};
 
+/// How long a worker says nothing while its environments work, none of them for long; python/leadtime/worker.py has the same.
+const SIGN_OF_LIFE: Duration = Duration::from_secs(1);
+
 /// A worker and its environments.
 #[derive(Debug)]
 pub(crate) struct WorkerLink {
@@ -197,7 +200,8 @@ impl WorkerLink {
             }
             let sent = std::mem::take(&mut self.sent);
             let timeout = self.launch.step_timeout;
-            match self.read_rows(&sent, timeout, timeout.saturating_mul(sent.len() as u32)) {
+            // Each may end an episode, and begin another one.
+            match self.read_rows(&sent, timeout, timeout.saturating_mul(2 * sent.len() as u32)) {
                 Ok(()) => {
                     self.deaths.stepped();
                     self.take_in(&sent);
@@ -367,7 +371,7 @@ impl WorkerLink {
         })
     }
 
-    /// Reads an answer about some slots, which may take `patience` in all, and be silent for `timeout`.
+    /// Reads an answer about some slots, which may take `patience` in all, and one of them `timeout`.
     fn read_rows(
         &mut self,
         places: &[usize],
@@ -376,6 +380,7 @@ impl WorkerLink {
     ) -> Result<(), ProtocolError> {
         let (shape, slots) = (self.shape, &mut self.slots);
         let process = self.process.as_mut().ok_or(ProtocolError::Closed)?;
+        let (timeout, patience) = (timeout + SIGN_OF_LIFE, patience.saturating_add(SIGN_OF_LIFE));
         let (kind, most) = (FrameKind::Stepped, shape.max_stepped_bytes(places.len()));
         let body = process.answer(kind, most, timeout, patience, |slot, text| {
             if let Some(slot) = slots.get_mut(usize::from(slot)) {

@@ -14,6 +14,7 @@ use leadtime_link::live::{LiveServiceLink, OtherNotifier};
 use leadtime_proto::phrase::counted;
 use leadtime_proto::{ClientName, Incarnation, ServiceName};
 use leadtime_runs::{Tasks, clock, regular, write_atomically};
+use leadtime_serve::observation::{MAX_SEQ, MAX_TIME};
 use leadtime_serve::{
     LiveService, MAX_SESSIONS, OpenRefusal, PolicyOrigin, ServiceSettings, StateStore,
     WorkingPolicy,
@@ -243,8 +244,8 @@ fn schema(policy: &WorkingPolicy) -> Value {
         "required": ["seq", "t", "obs"],
         "additionalProperties": false,
         "properties": {
-            "seq": {"type": "integer", "minimum": 0},
-            "t": {"type": "number", "minimum": 0, "description": "the client's own clock, in seconds"},
+            "seq": {"type": "integer", "minimum": 0, "maximum": MAX_SEQ},
+            "t": {"type": "number", "minimum": 0, "maximum": MAX_TIME, "description": "the client's own clock, in seconds"},
             "obs": {
                 "type": "array",
                 "prefixItems": policy.observation().iter().map(number).collect::<Vec<_>>(),
