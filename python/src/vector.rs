@@ -91,9 +91,10 @@ impl Worlds {
     /// Starts an episode in each: those of the run with this seed, from its first ones on, or its next ones without a seed.
     #[pyo3(signature = (seed=None))]
     fn reset<'py>(&self, py: Python<'py>, seed: Option<u64>) -> PyResult<ManyViews<'py>> {
-        let mut lanes = attached(&self.lanes, py);
-        lanes.reset(seed);
-        self.views(py, &lanes)
+        let mut guard = attached(&self.lanes, py);
+        let lanes = &mut *guard;
+        self.detached(py, || lanes.reset(seed));
+        self.views(py, lanes)
     }
 
     /// Takes one step in each. Shape of the actions: `[n, n_heads]`, or `[n]` where there is one head.
@@ -101,11 +102,7 @@ impl Worlds {
         let actions = self.actions(actions)?;
         let mut guard = attached(&self.lanes, py);
         let lanes = &mut *guard;
-        if self.n >= RELEASES_FROM {
-            py.detach(|| lanes.step(&actions));
-        } else {
-            lanes.step(&actions);
-        }
+        self.detached(py, || lanes.step(&actions));
         let (observations, info) = self.views(py, lanes)?;
         if !lanes.ended.is_empty() {
             self.metric_names.tell_ends(&info, lanes)?;
@@ -121,6 +118,11 @@ impl Worlds {
 }
 
 impl Worlds {
+    /// Works without the interpreter where that is worth it.
+    fn detached(&self, py: Python<'_>, work: impl Send + FnOnce()) {
+        if self.n >= RELEASES_FROM { py.detach(work) } else { work() }
+    }
+
     /// Reads the actions of all environments. Shape `[n, n_heads]`, or `[n]` where there is one head.
     fn actions(&self, given: &Bound<'_, PyAny>) -> PyResult<Vec<u8>> {
         if let Ok(array) = given.cast::<PyArrayDyn<i64>>() {
