@@ -12,12 +12,14 @@
 //! last observation whenever another source begins. That may be once the one before has been silent; two at once would tear what
 //! is observed, so the second one is refused.
 
-use crate::observation::{BadObservation, LiveObservation, MAX_TIME, ObservationHead};
+use crate::observation::{BadObservation, LiveObservation, ObservationHead};
 use crate::robot::form::RobotForm;
 use crate::robot::ros2::SourceMark;
 
 /// By how much the number of a robot that counts itself, or of a source, may rise at once.
 const MAX_LEAP: i128 = 1 << 53;
+/// The latest time of a source, which counts from its first observation, in seconds: some thirty years.
+const MAX_CLOCK_LEAP: f64 = 1e9;
 
 /// What a session knows of the observation before.
 #[derive(Clone, Copy, Debug)]
@@ -108,8 +110,8 @@ impl RobotReader {
             let (moment, t) = source.moment;
             let t = t + clock.saturating_sub(moment) as f64 * 1e-9;
             // A clock that was set back begins anew, and so does a source that was silent and counts from where it was before.
-            // So does one that leaps beyond every time: what recorders are told of it could not be read again.
-            let is_anew = if seq < next { is_quiet } else { t < last.t || t > MAX_TIME };
+            // So does one that leaps by decades: one without a battery is set, or a time is damaged.
+            let is_anew = if seq < next { is_quiet } else { t < last.t || t > MAX_CLOCK_LEAP };
             (!is_anew).then_some((seq, t))
         });
         let is_first = known.is_none();
