@@ -113,13 +113,30 @@ class LeadtimeEnv(gymnasium.Env):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode {render_mode!r}; allowed: {self.metadata['render_modes']}")
         self.render_mode = render_mode
-        self.world = World(config, changes(set), evaluation)
-        if render_mode is not None:
-            self.world.film()
+        self._made_of = config, changes(set), evaluation
+        self._make_world()
         self.observation_space, self.action_space, self._single = make_spaces(self.world)
         self._episodes = Episodes()
+
+    def _make_world(self):
+        self.world = World(*self._made_of)
+        if self.render_mode is not None:
+            self.world.film()
         # This in place of a wrapper, which would cost a third of a short step.
         self._step = no_episode
+
+    def __getstate__(self):
+        """A copy goes on from the same moment, and draws the same episodes from then on; pictures begin there."""
+        kept = {name: value for name, value in vars(self).items() if name not in ("world", "_step")}
+        return kept | {"snapshot": None if self._step is no_episode else self.world.snapshot()}
+
+    def __setstate__(self, kept):
+        snapshot = kept.pop("snapshot")
+        vars(self).update(kept)
+        self._make_world()
+        if snapshot is not None:
+            self.world.restore(snapshot)
+            self._step = self.world.step
 
     def reset(self, *, seed=None, options=None):
         begun = self._episodes.begin(seed, options, lambda: self.np_random.integers(SEEDS))

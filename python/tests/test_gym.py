@@ -1,7 +1,9 @@
 """The worlds from Python are those of the program, and what Gymnasium asks for."""
 
+import copy
 import json
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -130,6 +132,21 @@ class Gym(unittest.TestCase):
         again, _ = env.reset(seed=3)
         picked, _ = env.reset(options={"episode": 1})
         self.assertTrue((first == again).all() and (second == picked).all() and (first != second).any())
+
+    def test_a_copy_goes_on_from_the_same_moment(self):
+        for copied in (copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))):
+            env = gymnasium.make("leadtime/Lander-v0")
+            with self.assertRaises(gymnasium.error.ResetNeeded):
+                copied(env).step(env.action_space.sample())
+            env.reset(seed=3)
+            env.step(env.unwrapped.baseline())
+            other = copied(env)
+            for _ in range(300):
+                action = env.unwrapped.baseline()
+                (seen, *rest, info), (seen_too, *rest_too, info_too) = env.step(action), other.step(action)
+                self.assertTrue((seen == seen_too).all() and rest == rest_too and info.keys() == info_too.keys())
+                if any(rest[1:]):
+                    self.assertTrue((env.reset()[0] == other.reset()[0]).all())
 
     def test_a_seed_and_an_episode_are_whole_numbers_of_any_type_and_nothing_else(self):
         episodes = Episodes()
