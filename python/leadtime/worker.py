@@ -753,6 +753,17 @@ def main(arguments):
     sys.stdout.reconfigure(line_buffering=True)
     threading.Thread(target=end_with_the_actor, daemon=True).start()
     connection = Connection(path)
+    try:
+        return serve(connection, arguments)
+    finally:
+        if connection.is_lost():
+            # What environments have started is in our process group, which the actor would have killed.
+            sys.stderr.flush()
+            os.killpg(0, signal.SIGKILL)
+
+
+def serve(connection, arguments):
+    """Makes environments and steps them until nobody asks any more; returns the exit code."""
     logging.getLogger().addHandler(LogHandler(connection))
     logging.getLogger().setLevel(logging.INFO)
     logging.captureWarnings(True)
@@ -777,10 +788,6 @@ def main(arguments):
     except (BrokenPipeError, ConnectionResetError):
         pass
     worker.close()
-    if connection.is_lost():
-        # What environments have started is in our process group, which the actor would have killed.
-        sys.stderr.flush()
-        os.killpg(0, signal.SIGKILL)
     return 0
 
 
