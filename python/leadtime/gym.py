@@ -87,9 +87,8 @@ class Episodes:
     def begin(self, seed, options, draw):
         """Returns run seed and number of the episode that begins; ``draw`` gives a seed where none was ever named."""
         seed = None if seed is None else whole(seed, "seed") % SEEDS
-        if unknown := sorted(set(options or ()) - {"episode"}):
-            raise ValueError(f"options {unknown}: there is none but `episode`")
-        picked = whole(options["episode"], "options[\"episode\"]", SEEDS) if options else None
+        # Others are passed over: the checkers of Gymnasium and PettingZoo give some that no environment knows.
+        picked = whole(options["episode"], "options[\"episode\"]", SEEDS) if options and "episode" in options else None
         if seed is not None:
             self._seed, self._next = seed, 0
         elif self._seed is None:
