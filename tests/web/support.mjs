@@ -29,7 +29,7 @@ export class Running {
     this.said = '';
     this.child = spawn(PROGRAM, args, { cwd, stdio: ['ignore', 'pipe', 'pipe'] });
     for (const stream of [this.child.stdout, this.child.stderr]) stream.on('data', (text) => (this.said += text));
-    this.ended = new Promise((done) => this.child.on('exit', (code) => done(code)));
+    this.ended = new Promise((done, fail) => this.child.on('exit', (code) => done(code)).on('error', fail));
   }
 
   /** The link of the page that it serves. */
