@@ -343,7 +343,9 @@ impl Authority {
         let mut write = || {
             self.serial.rewind()?;
             // A number never has fewer digits than the one before it.
-            self.serial.write_all(format!("{next}\n").as_bytes())
+            self.serial.write_all(format!("{next}\n").as_bytes())?;
+            // The certificate goes to the disk at once, and may not be there before its number is.
+            self.serial.sync_data()
         };
         write().map_err(failed("write", &path))?;
         Ok(next)

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use leadtime_proto::ActorId;
 use serde_json::{Value, json};
 
-/// How long an actor that is gone is still shown, in seconds.
+/// How long an actor that is gone is still shown, and one that has never declared its presence and is not named any more, in seconds.
 const GONE_FOR: f64 = 60.0;
 /// An actor of which nothing is heard for so long is silent, in seconds.
 const SILENT: f64 = 2.0;
@@ -30,9 +30,13 @@ struct ActorRow {
     incarnation: String,
     /// What the learner says of it.
     entry: Value,
-    /// What it says of itself.
-    told: Value,
+    /// How many rollouts it has published, as it says itself.
+    n_published: Option<u64>,
     reports: VecDeque<ActorSums>,
+    /// It has declared its presence: it is there until it leaves.
+    is_declared: bool,
+    /// When it was last heard of, by itself or in the roster.
+    named_at: f64,
     seen_at: f64,
     gone_at: Option<f64>,
 }
@@ -60,8 +64,17 @@ pub(crate) struct ActorTable {
 }
 
 impl ActorTable {
-    /// Notes a start of an actor. Returns whether it was not there.
+    /// Notes that a start of an actor has declared its presence. Returns whether it was not there.
     pub(crate) fn joined(&mut self, id: &str, incarnation: &str, now: f64) -> bool {
+        let is_new = self.entered(id, incarnation, now);
+        if let Some(row) = self.rows.get_mut(id) {
+            row.is_declared = true;
+        }
+        is_new
+    }
+
+    /// Makes a row for a start of an actor, if there is room. Returns whether it had none.
+    fn entered(&mut self, id: &str, incarnation: &str, now: f64) -> bool {
         if self.rows.len() >= MAX_ACTORS && !self.rows.contains_key(id) {
             return false;
         }
@@ -81,7 +94,10 @@ impl ActorTable {
         if self.rows.get(id).is_some_and(has_left) {
             return false;
         }
-        self.joined(id, incarnation, now);
+        self.entered(id, incarnation, now);
+        if let Some(row) = self.rows.get_mut(id) {
+            row.named_at = now;
+        }
         true
     }
 
@@ -96,7 +112,7 @@ impl ActorTable {
     }
 
     /// Takes in an actor's own sums.
-    pub(crate) fn report(&mut self, id: &str, incarnation: &str, told: Value, now: f64) {
+    pub(crate) fn report(&mut self, id: &str, incarnation: &str, told: &Value, now: f64) {
         if !self.heard(id, incarnation, now) {
             return;
         }
@@ -108,7 +124,7 @@ impl ActorTable {
         if row.reports.len() > N_REPORTS {
             row.reports.pop_front();
         }
-        row.told = told;
+        row.n_published = told["n_rollouts_published"].as_u64();
         row.seen_at = now;
     }
 
@@ -127,14 +143,18 @@ impl ActorTable {
         self.others = roster["others"].clone();
     }
 
-    /// Forgets those that are gone for long. What lies ahead of a clock that was set back counts from now on.
+    /// Forgets those that are gone for long, and names that somebody has made up. What lies ahead of a clock that was set back counts from now on.
     pub(crate) fn forget(&mut self, now: f64) {
         for row in self.rows.values_mut() {
             row.reports.retain(|report| report.at <= now);
             row.seen_at = row.seen_at.min(now);
+            row.named_at = row.named_at.min(now);
             row.gone_at = row.gone_at.map(|at| at.min(now));
         }
-        self.rows.retain(|_, row| row.gone_at.is_none_or(|at| now - at < GONE_FOR));
+        self.rows.retain(|_, row| {
+            let since = row.gone_at.or((!row.is_declared).then_some(row.named_at));
+            since.is_none_or(|at| now - at < GONE_FOR)
+        });
     }
 
     /// Counts those that are here.
@@ -189,7 +209,7 @@ fn row_json(id: &str, row: &ActorRow, newest: u64, now: f64) -> Value {
         "staleness": entry["staleness"],
         "lag": version.map(|(iteration, _)| newest.saturating_sub(iteration)),
         "credit": {
-            "used": behind(count(&row.told, "n_rollouts_published")),
+            "used": behind(row.n_published),
             "window": behind(count(entry, "limit")),
         },
         "refused": refused,
@@ -221,7 +241,7 @@ mod tests {
         let mut table = ActorTable::default();
         assert!(table.joined("a", "01", 0.0) && !table.joined("a", "01", 1.0));
         for second in 1..=20 {
-            table.report("a", "01", sums(f64::from(second)), f64::from(second));
+            table.report("a", "01", &sums(f64::from(second)), f64::from(second));
         }
         let roster = json!({"actors": [{
             "id": "a", "incarnation": "01", "envs": 4, "iteration": 10, "staleness": 1, "acknowledged": 6, "limit": 14,
@@ -259,18 +279,35 @@ mod tests {
     }
 
     #[test]
+    fn names_that_somebody_made_up_keep_nobody_out_for_longer_than_they_are_said() {
+        let mut table = ActorTable::default();
+        table.joined("a", "01", 0.0);
+        for i in 0..MAX_ACTORS {
+            table.report(&format!("made-up-{i}"), "01", &sums(1.0), 0.0);
+        }
+        table.report("late", "01", &sums(1.0), 59.0);
+        assert_eq!(table.rows.len(), MAX_ACTORS);
+        // The roster names one of them.
+        table.roster(&json!({"actors": [{"id": "made-up-7", "incarnation": "01"}]}), 50.0);
+        table.forget(60.5);
+        assert_eq!(table.rows.keys().collect::<Vec<_>>(), ["a", "made-up-7"]);
+        table.report("late", "01", &sums(1.0), 61.0);
+        assert_eq!(table.rows.len(), 3);
+    }
+
+    #[test]
     fn an_actor_that_has_left_comes_back_only_by_joining() {
         let mut table = ActorTable::default();
         table.joined("a", "01", 0.0);
         table.left("a", "01", 1.0);
         // Its last words, and the roster of a learner that has not seen it leave.
-        table.report("a", "01", sums(1.0), 1.1);
+        table.report("a", "01", &sums(1.0), 1.1);
         table.roster(&json!({"actors": [{"id": "a", "incarnation": "01"}]}), 1.2);
         assert_eq!(table.n_here(), 0);
         assert!(table.joined("a", "01", 2.0));
         assert_eq!(table.n_here(), 1);
         table.left("a", "01", 3.0);
-        table.report("a", "02", sums(1.0), 4.0);
+        table.report("a", "02", &sums(1.0), 4.0);
         assert_eq!(table.n_here(), 1, "another start of it");
     }
 

@@ -149,7 +149,7 @@ fn take_in(page: &Page, event: ObserverEvent) -> bool {
             match member {
                 Member::Learner => view.learner_says(&incarnation, told, now),
                 Member::Actor(id) => {
-                    view.actor_says(id.as_str(), &incarnation, told, now);
+                    view.actor_says(id.as_str(), &incarnation, &told, now);
                     false
                 }
             }

@@ -439,7 +439,7 @@ impl RunView {
     }
 
     /// Takes in an actor's own sums.
-    pub fn actor_says(&mut self, id: &str, incarnation: &str, told: Value, now: f64) {
+    pub fn actor_says(&mut self, id: &str, incarnation: &str, told: &Value, now: f64) {
         self.actors.report(id, incarnation, told, now);
     }
 

@@ -21,7 +21,7 @@ fn take_in(view: &mut RunView, line: &Value) {
         ("metrics", "learner") => {
             view.learner_says(start, told, now);
         }
-        ("metrics", _) => view.actor_says(id, start, told, now),
+        ("metrics", _) => view.actor_says(id, start, &told, now),
         ("joined", "learner") => {
             view.learner_joined(start, now);
         }
